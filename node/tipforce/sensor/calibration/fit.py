@@ -1,9 +1,6 @@
-"""Calibration: from readings under known loads to C, its offsets and its uncertainty.
-
-The gauges are the noisy side, so V = A F + b is fitted and then inverted (the paper fits F = C V). Loads of uncertain
-direction weigh less, tares carry the offset through its drift, rows that disagree and saturated readings are left out,
-and what the rows cannot show is refused by name.
-"""
+"""Calibration: from readings under known loads to C, its offsets and its uncertainty. The gauges are the noisy side: V
+= A F + b is fitted, then inverted (the paper fits F = C V). Loads of uncertain direction weigh less, tares carry the
+drift, odd rows and saturated readings are left out, and what the rows cannot show is refused by name."""
 
 from __future__ import annotations
 
@@ -38,11 +35,8 @@ MAX_GAIN_PASSES = 4
 
 
 def fit_calibration(readings: Readings, model: Model | None = None) -> Fit:
-    """Return the calibration that the readings support.
-
-    Raises InputError for shapes and values (naming the row), where the rows cannot show an offset or a direction of
-    load (naming it, and what to add), and where nothing is left to estimate the noise from.
-    """
+    """Return the calibration that the readings support. Raises InputError for shapes and values (naming the row), an
+    offset or direction of load that the rows do not show (and what to add), and too few rows to estimate the noise."""
     model = model or Model()
     readings = checked(readings, model)
     try:
@@ -127,10 +121,8 @@ def _fitted(readings: Readings, model: Model, gain_per_K: float) -> tuple[Fit, P
 
 
 def linear_fit(strain: npt.ArrayLike, F_newtons: npt.ArrayLike) -> FloatArray:
-    """Return the paper's fit, for comparison: C (3, n) by least squares of F = C V. strain: (m, n); F: (m, 3).
-
-    Raises InputError for other shapes, numbers that are not finite, or readings of rank below 3.
-    """
+    """Return the paper's fit, for comparison: C (3, n) by least squares of F = C V. strain: (m, n); F: (m, 3). Raises
+    InputError for other shapes, numbers that are not finite, or readings of rank below 3."""
     V, F = floats("strain", strain), floats("F", F_newtons)
     if V.ndim != 2 or F.shape != (V.shape[0], 3) or not np.isfinite(V).all() or not np.isfinite(F).all():
         raise InputError(f"strain {V.shape}, F {F.shape}: allowed are (m, n) and (m, 3), finite")
@@ -143,7 +135,6 @@ def linear_fit(strain: npt.ArrayLike, F_newtons: npt.ArrayLike) -> FloatArray:
 
 
 def _suspected(readings: Readings, model: Model, problem: Problem) -> BoolArray:
-    """Rows to start without, (m,)."""
     out = np.zeros(len(problem.V), dtype=np.bool_)
     if model.loss == "none":
         return out
@@ -209,11 +200,9 @@ SMALLEST_SPAN_K = 0.5
 def best_fit(
     readings: Readings, model: Model, drifts: Sequence[str] | None = None
 ) -> tuple[Fit, Model, dict[str, float]]:
-    """Return the fit of the drift that the hold-out score prefers, its model, and the scores by name.
-
-    ``drifts``: by default those that the times of the rows allow; each also with a temperature coefficient of the
-    offsets where temperatures change. Raises InputError as fit_calibration() does if the first cannot be fitted.
-    """
+    """Return the fit of the drift with the best hold-out score, its model, and the scores by name. ``drifts``: by
+    default those that the times allow; each also with a temperature coefficient where temperatures change. Raises as
+    fit_calibration()."""
     fits: dict[str, tuple[Fit, Model]] = {}
     refused: InputError | None = None
     if drifts is None:

@@ -1,7 +1,5 @@
-"""What a calibration fit regresses on: the offset and its drift, the scatter of load directions.
-
-And what its rows cannot show of that: directions of load or offset that they leave open, in words and numbers.
-"""
+"""What a calibration fit regresses on: the offset and its drift, the scatter of load directions. And what its rows
+cannot show of that: directions of load or offset that they leave open, in words and numbers."""
 
 from __future__ import annotations
 
@@ -95,10 +93,8 @@ def tare_groups(unloaded: BoolArray, usable: BoolArray) -> list[list[int]]:
 def offset_basis(
     drift: str, offset: bool, t_s: FloatArray | None, unloaded: BoolArray, usable: BoolArray
 ) -> OffsetBasis:
-    """Return the basis of the offset for m rows; ``usable`` rows only give tares.
-
-    Raises InputError for a drift where the rows have no times, all one time, or tares at fewer than two times.
-    """
+    """Return the basis of the offset for m rows; ``usable`` rows only give tares. Raises InputError for a drift where
+    the rows have no times, all one time, or tares at fewer than two times."""
     m = unloaded.size
     if not offset:
         return OffsetBasis.of(np.zeros((m, 0)))
@@ -127,9 +123,7 @@ def offset_basis(
 
 def bad_tares(strain: FloatArray, t_s: FloatArray, unloaded: BoolArray, usable: BoolArray) -> BoolArray:
     """Return which tares jump out of the line through their neighbours, (m,), the worst first: no drift is that quick.
-
-    A tare alone at its time defines the offset there, so that no residual can accuse it.
-    """
+    A tare alone at its time defines the offset there, so that no residual can accuse it."""
     usable = usable.copy()
     bad = np.zeros(usable.size, dtype=np.bool_)
     while True:
@@ -172,11 +166,9 @@ FORCES = ("F1", "F2", "F3")
 
 
 def require_seen(g: FloatArray, observed: BoolArray, names: Sequence[str], unit_newtons: float) -> None:
-    """Check that the rows determine every unknown of every gauge.
-
-    g: (m, p), forces in ``unit_newtons``, then the offset's columns. observed: (m, n). names: of the p columns. Raises
-    InputError naming each direction that no row sees, and which row would.
-    """
+    """Check that the rows determine every unknown of every gauge. g: (m, p), forces in ``unit_newtons``, then the
+    offset's columns. observed: (m, n). names: (p). Raises InputError naming each direction that no row sees, and which
+    would."""
     for k in range(observed.shape[1]):
         design = g[observed[:, k]]
         padded = np.vstack((design, np.zeros((design.shape[1], design.shape[1]))))
@@ -192,11 +184,8 @@ def require_seen(g: FloatArray, observed: BoolArray, names: Sequence[str], unit_
 
 
 def require_clear(coefficients: FloatArray, covariance: FloatArray, names: Sequence[str], unit_newtons: float) -> None:
-    """Check that noise hides no direction of load or offset.
-
-    coefficients: (n, 3 or 4), scaled as the design, the offset last. covariance: (n, q, n, q). Raises InputError naming
-    the direction that is too uncertain, or the force that the gauges together do not tell from zero.
-    """
+    """Check that noise hides no direction of load or offset. coefficients: (n, 3 or 4), scaled as the design, the
+    offset last. covariance: (n, q, n, q). Raises InputError naming the direction, or the force that looks like zero."""
     n, q = coefficients.shape
     signal = np.linalg.norm(coefficients[:, :3], axis=1).max()
     for k in range(n):

@@ -1,8 +1,6 @@
-"""What a calibration fit hands back: the matrix with its uncertainty, and everything that speaks for or against it.
-
-``rounded`` takes off the digits that say nothing, so that equal data give equal calibrations on every machine but once
-in a million values. Nine digits are finer than the node's REAL32 (seven) and what a good calibration knows (four).
-"""
+"""What a calibration fit hands back: the matrix, its uncertainty, and what speaks for or against it. ``rounded`` takes
+off digits that say nothing, so that equal data give equal calibrations on every machine but once in a million values:
+nine are finer than the node's REAL32 (seven) and what a good calibration knows (four)."""
 
 from __future__ import annotations
 
@@ -156,12 +154,10 @@ def covariance_of_estimate(
     *,
     offset_known: bool = False,
 ) -> FloatArray:
-    """Return C (Sigma_V + Q(F)) C^T, the covariance of F = C (V - b), N^2: gauge noise and calibration.
-
-    C: (3, n). noise_covariance: (n, n), strain^2. parameter_covariance: (n, 4, n, 4), of Fit or kronecker().
-    F: (..., 3). Returns (..., 3, 3). Q(F)_kl = G^T cov(row k, row l) G with G = (F, 1). offset_known: after a tare the
-    1 drops out (its own noise belongs into noise_covariance). Raises InputError for other shapes.
-    """
+    """Return C (Sigma_V + Q(F)) C^T (..., 3, 3), the covariance of F = C (V - b), N^2: gauge noise and calibration. C:
+    (3, n). noise_covariance: (n, n), strain^2. parameter_covariance: (n, 4, n, 4). F: (..., 3). Q(F)_kl = G^T cov(row
+    k, row l) G, G = (F, 1). offset_known: after a tare the 1 drops out (its own noise belongs into noise_covariance).
+    Raises InputError for other shapes."""
     matrix, F = floats("C", C), floats("F", F_newtons)
     n = matrix.shape[-1]
     Sigma = floats("noise_covariance", noise_covariance)
@@ -183,9 +179,7 @@ def covariance_of_estimate(
 
 def kronecker(residual_covariance: npt.ArrayLike, N: npt.ArrayLike) -> FloatArray:
     """Return the parameter covariance S (x) N^-1, (n, 4, n, 4), from S (n, n) and N (4, 4), or (3, 3) without offset.
-
-    Raises InputError for other shapes or a singular N.
-    """
+    Raises InputError for other shapes or a singular N."""
     S, normal = np.asarray(residual_covariance, dtype=np.float64), np.asarray(N, dtype=np.float64)
     if S.ndim != 2 or S.shape[0] != S.shape[1] or normal.shape not in {(3, 3), (4, 4)}:
         raise InputError(f"S {S.shape}, N {normal.shape}: allowed are (n, n) and (4, 4) or (3, 3)")
@@ -203,10 +197,8 @@ DIGITS = 9
 
 
 def to_digits(values: npt.ArrayLike, digits: int = DIGITS, scale: float = 0.0) -> FloatArray:
-    """Return ``values`` rounded to ``digits`` of the largest of them, or of ``scale`` if that is larger.
-
-    All to the same place: an entry that is small beside the others is as uncertain as they are.
-    """
+    """Return ``values`` rounded to ``digits`` of the largest of them, or of ``scale`` if that is larger. All to the
+    same place: an entry that is small beside the others is as uncertain as they are."""
     array = np.asarray(values, dtype=np.float64)
     largest = max(float(np.max(np.abs(array), initial=0.0)), scale)
     return np.round(array, digits - 1 - int(np.floor(np.log10(largest)))) if 0.0 < largest < np.inf else array

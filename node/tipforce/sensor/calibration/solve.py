@@ -1,9 +1,7 @@
 """Generalised least squares for V = A F + b with noise that differs from row to row, its variances estimated (REML).
-
-The direction of a load strays by an angle common to all rows of a groove (a random effect) and by one of each row; how
-much, in units of the stated scatter, is estimated with the gauge noise. The rows are whitened, the groove's effect is
-taken off by a square root of its marginal covariance, and the rest is solved by QR.
-"""
+The direction of a load strays by an angle of the groove (a random effect) and one of each row, by how much of the
+stated scatter is estimated too. Rows are whitened, the groove's effect is taken off by a square root of its marginal
+covariance, the rest is solved by QR."""
 
 from __future__ import annotations
 
@@ -141,11 +139,9 @@ def _kink_variance_of(problem: Problem, solution: Solution) -> FloatArray:
 
 
 def _noise_of(problem: Problem, solution: Solution) -> FloatArray:
-    """One step of expectation-maximisation for the gauge noise, restricted likelihood, readings left out imputed.
-
-    The load-direction part of a residual is taken off by its expectation; e e^T + H undoes what the fit has
-    absorbed. Without direction scatter its fixed point is the sum of e e^T over (rows - unknowns).
-    """
+    """One step of expectation-maximisation for the gauge noise, restricted likelihood, readings left out imputed. The
+    load-direction part of a residual is taken off by its expectation; e e^T + H undoes what the fit has absorbed.
+    Without direction scatter its fixed point is the sum of e e^T over (rows - unknowns)."""
     used = problem.observed.any(axis=1)
     row_noise = solution.Sigma / problem.weight[:, np.newaxis, np.newaxis]
     gain = row_noise @ solution.R_inverse
@@ -181,9 +177,7 @@ TOLERANCE = 1e-5
 
 def solve(problem: Problem, loss: str, cut: float, start: Solution | None = None) -> Solution:
     """Return the fit. loss: "huber", "soft_l1" or "none", its corner at the distance ``cut``; start: to begin from.
-
-    Raises InputError where the noise is to be estimated and nothing is left to estimate it from.
-    """
+    Raises InputError where the noise is to be estimated and nothing is left to estimate it from."""
     A, Sigma = _start(problem) if start is None else (start.coefficients[:, :3], start.Sigma)
     restless = np.full(len(A), START_RESTLESS**2) if start is None else start.kink_variance
     scatter = (Scatter(1.0, START_HANG) if start is None else start.scatter) if problem.D.any() else Scatter(0.0, 0.0)
@@ -232,9 +226,7 @@ class Extra(NamedTuple):
 
 def extra(problem: Problem, solution: Solution, columns: FloatArray) -> Extra:
     """Return coefficients of further columns (m, n, k), strain per unit of each, by the noise that the fit has found.
-
-    Raises LinAlgError where the rows do not determine them.
-    """
+    Raises LinAlgError where the rows do not determine them."""
     n, p, k = problem.V.shape[1], problem.g.shape[1], columns.shape[2]
     AD = solution.coefficients[:, :3] @ problem.D
     whitener = _whitener(solution.R, problem.observed)

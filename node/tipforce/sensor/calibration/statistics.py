@@ -22,10 +22,8 @@ HOLD_OUT_CAP = 8.0
 
 
 def matrix_uncertainty(A: FloatArray, C: FloatArray, Sigma: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return the standard uncertainty of each entry of C, (3, n), from the covariance of A, (n, 3, n, 3).
-
-    First order: dC = -C dA C + (A^T W A)^-1 dA^T W (I - A C); the second term is zero for three gauges.
-    """
+    """Return the standard uncertainty of each entry of C, (3, n), from the covariance of A, (n, 3, n, 3). First order:
+    dC = -C dA C + (A^T W A)^-1 dA^T W (I - A C); the second term is zero for three gauges."""
     n = A.shape[0]
     W = np.linalg.inv(Sigma)
     inner = np.linalg.inv(A.T @ W @ A)
@@ -102,7 +100,6 @@ def _hold_out_score(problem: Problem, solution: Solution) -> float:
 
 
 def _sizes(problem: Problem, solution: Solution, loaded: BoolArray) -> tuple[float, float, float]:
-    """sigma0 of all rows, of the loaded ones, of the unloaded ones."""
     counts = problem.observed.sum(axis=1)
     inverse = solution.R_inverse
     squares = np.einsum("ik,ikl,il->i", solution.residual, inverse, solution.residual)
@@ -171,10 +168,8 @@ FALSE_ALARM = 0.005
 def nonlinearity(
     problem: Problem, solution: Solution, C: FloatArray, sigma0: float, largest_newtons: float
 ) -> Nonlinearity | None:
-    """Return the test of a quadratic term; None where the rows do not determine one.
-
-    C: (3, n) newtons per unit strain. Residuals larger than the model expects (sigma0 above 1) widen the intervals.
-    """
+    """Return the test of a quadratic term; None where the rows do not determine one. C: (3, n) newtons per unit strain.
+    Residuals larger than the model expects (sigma0 above 1) widen the intervals."""
     n, A = problem.V.shape[1], solution.coefficients[:, :3]
     elastic = problem.g[:, :3] @ A.T
     trials: list[tuple[float, bool, Extra]] = []
@@ -231,8 +226,7 @@ def per_kelvin(
     problem: Problem, solution: Solution, change_K: FloatArray, columns: FloatArray, unit: float = 1.0
 ) -> tuple[FloatArray, FloatArray]:
     """Return (coefficients per kelvin beyond the fit's of ``columns``, (m or 1, n, k), times ``unit``; their standard
-    uncertainties), (k,) each; zeros and NaN where no row shows them.
-    """
+    uncertainties), (k,) each; zeros and NaN where no row shows them."""
     span = float(np.abs(change_K).max())
     try:
         term = extra(problem, solution, columns * (change_K / max(span, 1e-300))[:, np.newaxis, np.newaxis])
@@ -270,13 +264,10 @@ FALSE_ALARM_RATE = 1e-6
 def redundancy_limit(
     A: FloatArray, Sigma: FloatArray, parameter_covariance: FloatArray, dof: float, largest_newtons: float
 ) -> float:
-    """Return the limit of chi-square (2116h) for one false alarm in a million samples; 0 for three gauges.
-
-    A: (n, 3), strain per newton; Sigma: (n, n), of one reading, known with ``dof`` degrees of freedom (Hotelling);
-    parameter_covariance: (n, 4, n, 4), by what the calibration itself may contradict at the worst load up to
-    ``largest_newtons``. Of chi-square by the record's noise, wider than Sigma by variance_factors(). Raises InputError
-    for a covariance that is not positive definite, or with no more than n - 2 degrees of freedom.
-    """
+    """Return the limit of chi-square (2116h) for one false alarm in a million samples; 0 for three gauges. A: (n, 3),
+    strain per newton; Sigma: (n, n), of one reading, known with ``dof`` degrees of freedom (Hotelling), widened in the
+    record by variance_factors(); parameter_covariance: (n, 4, n, 4), at the worst load up to ``largest_newtons``.
+    Raises InputError for a covariance that is not positive definite, or dof of n - 2 or less."""
     n = len(A)
     if n == 3:
         return 0.0

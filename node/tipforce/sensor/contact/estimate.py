@@ -1,8 +1,6 @@
-"""Contacts of many samples: strain to force to contact, uncertainty, status, and where first order holds.
-
-The formulas of scalar.py, operation by operation, for columns: F1, F2, F3 and the six different elements of the
-covariance of F, each an array of the same shape (or a number). The public functions have them in one array.
-"""
+"""Contacts of many samples: strain to force to contact, uncertainty, status, and where first order holds. The formulas
+of scalar.py, operation by operation, for columns: F1, F2, F3 and the six different elements of the covariance of F,
+each an array of the same shape (or a number). The public functions have them in one array."""
 
 from __future__ import annotations
 
@@ -19,11 +17,9 @@ from tipforce.sensor.contact import scalar
 
 
 def force_vector(P_newtons: npt.ArrayLike, phi_rad: npt.ArrayLike, theta_rad: npt.ArrayLike) -> FloatArray:
-    """Return F = (P sin(phi), P sin(phi - theta), P cos(phi)) in newtons, shape (..., 3): equation (16).
-
-    phi is the direction of the force on the tip, theta the angle of the contact on it, both from the x-axis. Raises
-    InputError where the shapes of the three do not broadcast.
-    """
+    """Return F = (P sin(phi), P sin(phi - theta), P cos(phi)) in newtons, shape (..., 3): equation (16). phi is the
+    direction of the force on the tip, theta the angle of the contact on it, both from the x-axis. Raises InputError
+    where the shapes of the three do not broadcast."""
     P, phi, theta = floats("P", P_newtons), floats("phi", phi_rad), floats("theta", theta_rad)
     try:
         P, phi, theta = np.broadcast_arrays(P, phi, theta)
@@ -37,11 +33,9 @@ def force_vector(P_newtons: npt.ArrayLike, phi_rad: npt.ArrayLike, theta_rad: np
 def force_from_strain(
     C: npt.ArrayLike, strain: npt.ArrayLike, offset_strain: npt.ArrayLike = 0.0, tare_newtons: npt.ArrayLike = 0.0
 ) -> FloatArray:
-    """Return F = C (strain - offset) - tare in newtons, shape (..., 3): equation (1) with offset and tare.
-
-    C: (3, n), newtons per unit strain. strain: (..., n). offset_strain: (n,), tare_newtons: (3,), or scalars. NaN or
-    infinity makes its row NaN or infinite, no other. Raises InputError where the shapes do not fit.
-    """
+    """Return F = C (strain - offset) - tare in newtons, shape (..., 3): equation (1) with offset and tare. C: (3, n),
+    newtons per unit strain. strain: (..., n). offset_strain: (n,), tare_newtons: (3,), or scalars. NaN or infinity
+    makes its row NaN or infinite, no other. Raises InputError where the shapes do not fit."""
     matrix, V = floats("C", C), floats("strain", strain)
     offset, tare = floats("offset_strain", offset_strain), floats("tare", tare_newtons)
     if matrix.ndim != 2 or matrix.shape[0] != 3:
@@ -59,10 +53,8 @@ def force_from_strain(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contact:
-    """Contacts of n samples; every array has the shape (n,), or (...) for forces of shape (..., 3).
-
-    NaN means unknown: all five for a force that is not finite, the angles if F1 = F3 = 0.
-    """
+    """Contacts of n samples; every array has the shape (n,), or (...) for forces of shape (..., 3). NaN means unknown:
+    all five for a force that is not finite, the angles if F1 = F3 = 0."""
 
     P_newtons: FloatArray
     """Magnitude of the force, at least zero."""
@@ -146,10 +138,7 @@ def forces(F1: FloatArray, F2: FloatArray, F3: FloatArray) -> Forces:
 
 
 def covariances(elements: Sequence[Any]) -> Covariance:
-    """Return the covariances with elements 11, 12, 13, 22, 23, 33, N^2, columns or numbers.
-
-    Not finite, or a variance below 0: NaN.
-    """
+    """Return the covariances with elements 11, 12, 13, 22, 23, 33, N^2; NaN if not finite, or a variance is below 0."""
     k11, _, _, k22, _, k33 = elements
     with np.errstate(invalid="ignore", over="ignore"):
         largest = np.maximum(np.maximum(np.maximum(k11, k22), k33), 0.0)
@@ -239,11 +228,9 @@ def status_columns(
 
 
 def contacts(F_newtons: npt.ArrayLike, *, pull: bool) -> Contact:
-    """Return the contacts of forces F of shape (..., 3), newtons: the inverse of equation (16).
-
-    pull: the load pulls at the surface (a rope), else it pushes (a contact). As scalar.contact(). Raises InputError
-    where the last axis is not 3; numbers that are not finite give NaN, never an error.
-    """
+    """Return the contacts of forces F of shape (..., 3), newtons: the inverse of equation (16). pull: the load pulls at
+    the surface (a rope), else it pushes (a contact). As scalar.contact(). Raises InputError where the last axis is not
+    3; numbers that are not finite give NaN, never an error."""
     return contact_columns(_forces(F_newtons), 1.0 if pull else -1.0)
 
 
@@ -256,11 +243,9 @@ def estimate(
 
 
 def standard_uncertainties(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike, *, pull: bool) -> FloatArray:
-    """Return the standard uncertainties of P, phi, theta: shape (..., 3), in newtons, radians, radians.
-
-    F: (..., 3); covariance_F: (3, 3) or (..., 3, 3), symmetric, N^2. As scalar.uncertainty(). Numbers that are not
-    finite, and variances below zero, give NaN. Raises InputError for other shapes.
-    """
+    """Return the standard uncertainties of P, phi, theta: shape (..., 3), in newtons, radians, radians. F: (..., 3);
+    covariance_F: (3, 3) or (..., 3, 3), symmetric, N^2. As scalar.uncertainty(). Numbers that are not finite, and
+    variances below zero, give NaN. Raises InputError for other shapes."""
     u = deviation_columns(_forces(F_newtons), _covariances(covariance_F, F_newtons), 1.0 if pull else -1.0)
     return np.stack(u[:3], axis=-1)
 
@@ -309,20 +294,17 @@ def _power_of_two(exponent: npt.NDArray[np.integer[Any]], most: int = 1000) -> F
 
 
 def _angle(y: FloatArray, x: FloatArray) -> FloatArray:
-    """Return arctan2, pi in place of -pi."""
     angle_rad: FloatArray = np.arctan2(y, x)
     least = angle_rad <= -np.pi
     return np.where(least, np.pi, angle_rad) if least.any() else angle_rad
 
 
 def _wrapped(angle_rad: FloatArray) -> FloatArray:
-    """Return the angle, at most one turn off, in (-pi, pi]."""
     down = np.where(angle_rad > np.pi, angle_rad - scalar.TWO_PI, angle_rad)
     return np.where(down <= -np.pi, down + scalar.TWO_PI, down)
 
 
 def _deviation(K: Covariance, g1: FloatArray, g2: FloatArray | float, g3: FloatArray) -> FloatArray:
-    """Return sqrt(g K g), as in scalar.py."""
     variance = (
         g1 * (K.k11 * g1 + 2.0 * (K.k12 * g2 + K.k13 * g3)) + g2 * (K.k22 * g2 + 2.0 * K.k23 * g3) + g3 * K.k33 * g3
     )
@@ -367,8 +349,7 @@ def curvature(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> FloatArr
     - phi: u(P) / P, because a force that is too small has too large an angular error;
     - theta: u(x) / cos^2(delta), or that of phi if it is larger; infinite where the line of action misses.
 
-    F1 = F3 = 0: all infinite. Numbers that are not finite: NaN. Raises InputError for other shapes.
-    """
+    F1 = F3 = 0: all infinite. Numbers that are not finite: NaN. Raises InputError for other shapes."""
     F = _forces(F_newtons)
     u = deviation_columns(F, _covariances(covariance_F, F_newtons), 1.0)
     ratios = np.stack(curvature_columns(F, contact_columns(F, 1.0).P_newtons, u), axis=-1)
@@ -378,8 +359,6 @@ def curvature(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> FloatArr
 
 def first_order_holds(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> BoolArray:
     """Return whether the standard uncertainties of P, phi, theta can be trusted, (..., 3): curvature() at most a limit.
-
-    False for unknown values. Raises InputError for other shapes.
-    """
+    False for unknown values. Raises InputError for other shapes."""
     with np.errstate(invalid="ignore"):
         return np.asarray(curvature(F_newtons, covariance_F) <= CURVATURE_LIMIT)

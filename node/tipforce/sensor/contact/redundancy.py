@@ -1,11 +1,8 @@
-"""Fault detection with more than three gauges: gauges that contradict the others.
-
-V = A F + e with the covariance Sigma of e; C = (A^T Q A)^-1 A^T Q, Q = Sigma^-1, is the weighted inverse. n - 3
-combinations W of the gauges do not depend on the force (parity directions); chi-square is |W V|^2. A fault of a gauge
-moves W V along its column of W. Two gauges with parallel columns cannot be distinguished: exactly if the other n - 2
-have no rank 3. So four gauges isolate no fault, unless only one is visible, which then responds to no force at all. A
-gauge is invisible if the others have no rank 3: its fault looks like a force.
-"""
+"""Fault detection with more than three gauges. V = A F + e with the covariance Sigma of e; C = (A^T Q A)^-1 A^T Q, Q =
+Sigma^-1, is the weighted inverse. n - 3 combinations W of the gauges do not depend on the force (parity directions);
+chi-square is |W V|^2. A fault moves W V along its gauge's column of W. Two gauges with parallel columns cannot be
+distinguished: exactly if the other n - 2 have no rank 3. So four gauges isolate no fault, unless only one is visible,
+which then responds to no force. A gauge is invisible if the others have no rank 3: its fault looks like a force."""
 
 from __future__ import annotations
 
@@ -48,10 +45,8 @@ class Faults:
 
 
 def weighted_inverse(A: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> FloatArray:
-    """Return C = (A^T Q A)^-1 A^T Q, (3, n), for A (n, 3), strain per newton, and the gauges' covariance (n, n).
-
-    Raises InputError where the shapes do not fit, A has no rank 3, or the covariance is not positive definite.
-    """
+    """Return C = (A^T Q A)^-1 A^T Q, (3, n), for A (n, 3), strain per newton, and the gauges' covariance (n, n). Raises
+    InputError where the shapes do not fit, A has no rank 3, or the covariance is not positive definite."""
     matrix = np.asarray(A, dtype=np.float64)
     if matrix.ndim != 2 or matrix.shape[1] != 3 or matrix.shape[0] < 3:
         raise InputError(f"A has the shape {matrix.shape}: allowed is (n, 3) with n gauges, at least 3")
@@ -63,11 +58,9 @@ def weighted_inverse(A: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> Flo
 
 
 def structure_matrix(C: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> FloatArray:
-    """Return A = Sigma C^T (C Sigma C^T)^-1, (n, 3), strain per newton: the structure as a calibration describes it.
-
-    It inverts weighted_inverse(); for a C (3, n) weighted otherwise it gives some A with C A = I, not the true one.
-    Raises InputError where the shapes do not fit, C has no rank 3, or the covariance is not positive definite.
-    """
+    """Return A = Sigma C^T (C Sigma C^T)^-1, (n, 3), strain per newton: the structure as a calibration describes it. It
+    inverts weighted_inverse(); for a C (3, n) weighted otherwise it gives some A with C A = I, not the true one. Raises
+    InputError where the shapes do not fit, C has no rank 3, or the covariance is not positive definite."""
     matrix, covariance = _matrix(C), floats("covariance_strain2", covariance_strain2)
     _root(covariance, matrix.shape[1])
     if np.linalg.matrix_rank(matrix) < 3:
@@ -77,10 +70,8 @@ def structure_matrix(C: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> Flo
 
 
 def parity(C: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> Parity:
-    """Return the information in the residuals of n > 3 gauges. C: (3, n), weighted by covariance_strain2 (n, n).
-
-    Raises InputError as structure_matrix() does, and for n = 3, where every reading fits some force.
-    """
+    """Return the information in the residuals of n > 3 gauges. C: (3, n), weighted by covariance_strain2 (n, n). Raises
+    InputError as structure_matrix() does, and for n = 3, where every reading fits some force."""
     matrix, covariance = _matrix(C), floats("covariance_strain2", covariance_strain2)
     n = matrix.shape[1]
     if n < 4:
@@ -98,9 +89,7 @@ def detectable_strain(
     model: Parity, false_alarm_rate: float = FALSE_ALARM_RATE, *, limit: float | None = None
 ) -> FloatArray:
     """Return the fault of each gauge that moves chi-square's mean to its threshold, (n,), strain; inf: invisible.
-
-    limit: the threshold (2116h), where it is not that of the rate.
-    """
+    limit: the threshold (2116h), where it is not that of the rate."""
     degrees = len(model.W)
     threshold = scalar_redundancy.chi_square_threshold(false_alarm_rate, degrees) if limit is None else limit
     with np.errstate(divide="ignore"):
@@ -115,13 +104,10 @@ def detect(
     exclusion_rate: float = EXCLUSION_RATE,
     variance_factor: npt.ArrayLike = 1.0,
 ) -> Faults:
-    """Return the fault decisions for readings of shape (..., n), strain with the offsets subtracted.
-
-    A reading is faulty if chi-square exceeds the threshold of false_alarm_rate; a gauge is a candidate if the residual
-    of its best-fitting fault (n - 4 degrees of freedom) is below that of exclusion_rate. variance_factor, (...): ratio
-    of the residuals' variance to that of the gauges' noise; a calibrated C adds 1 + G^T N^-1 G. Raises InputError for
-    other shapes, and for rates outside (0, 1).
-    """
+    """Return the fault decisions for readings (..., n), strain without offsets. Faulty: chi-square exceeds the
+    threshold of false_alarm_rate; candidates: gauges whose best-fitting fault leaves (n - 4 degrees of freedom) less
+    than that of exclusion_rate. variance_factor, (...): of the residuals over the gauges' noise; a calibrated C adds 1
+    + G^T N^-1 G. Raises InputError for other shapes, and for rates outside (0, 1)."""
     for name, rate in (("false_alarm_rate", false_alarm_rate), ("exclusion_rate", exclusion_rate)):
         if not 0.0 < rate < 1.0:
             raise InputError(f"{name} = {rate!r}: allowed is above 0 and below 1")
@@ -154,7 +140,6 @@ def _matrix(C: npt.ArrayLike) -> FloatArray:
 
 
 def _root(covariance_strain2: npt.ArrayLike, n: int) -> FloatArray:
-    """Return the lower Cholesky factor."""
     covariance = floats("covariance_strain2", covariance_strain2)
     if covariance.shape != (n, n):
         raise InputError(f"covariance_strain2 has the shape {covariance.shape}: allowed is {(n, n)}")

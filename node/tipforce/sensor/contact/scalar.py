@@ -1,9 +1,6 @@
-"""Contact of one sample: force to contact, its uncertainty and its status, for a microcontroller.
-
-Needs only the math module and the MicroPython subset; estimate.py has the same formulas for arrays. Newtons, and
-radians unless a name says degrees. NaN or infinity in gives NaN out. F1 = P sin(phi), F2 = P sin(phi - theta),
-F3 = P cos(phi): equation (16) of the paper.
-"""
+"""Contact of one sample: force to contact, its uncertainty and its status, with the math module and the MicroPython
+subset alone; estimate.py has the same formulas for arrays. Newtons, and radians unless a name says degrees; NaN or
+infinity in gives NaN out. F1 = P sin(phi), F2 = P sin(phi - theta), F3 = P cos(phi): equation (16)."""
 
 from math import asin, atan2, frexp, ldexp, pi, sqrt
 
@@ -44,13 +41,10 @@ PAD_SLACK_DEG = 1e-4  # rounding of theta in single precision must not push a co
 
 
 def contact(F1: float, F2: float, F3: float, pull: bool) -> tuple[float, float, float, float]:
-    """Return (P, phi, theta, miss) for one force: newtons, radians, radians, newtons.
-
-    pull: the load pulls at the surface (a rope), else it pushes (a contact): it selects one of the two points where
-    the line of action meets the tip. phi and theta lie in (-pi, pi]; NaN for F1 = F3 = 0. miss is the excess of |F2|
-    over hypot(F1, F3): if positive the line of action misses the tip, the contact is taken as tangential and
-    P = (hypot + |F2|) / 2. Loads from 1e-300 to 1e300 N keep full precision; beyond the largest float P is infinite.
-    """
+    """Return (P, phi, theta, miss) for one force: newtons, radians, radians, newtons. pull: the load pulls at the
+    surface (a rope), else it pushes: it selects one of the two points where the line of action meets the tip. phi and
+    theta lie in (-pi, pi]; NaN for F1 = F3 = 0. miss is the excess of |F2| over hypot(F1, F3): above 0 the line misses
+    the tip, the contact counts as tangential, P = (hypot + |F2|) / 2. Full precision from 1e-300 to 1e300 N."""
     return contact_of(scaled_force(F1, F2, F3), pull)
 
 
@@ -83,22 +77,17 @@ def contact_of(force: "ScaledForce | None", pull: bool) -> tuple[float, float, f
 def uncertainty(
     F1: float, F2: float, F3: float, cov: tuple[float, float, float, float, float, float], pull: bool
 ) -> tuple[float, float, float]:
-    """Return the standard uncertainties (u_P, u_phi, u_theta) in newtons, radians, radians.
-
-    cov: the upper triangle (11, 12, 13, 22, 23, 33) of the covariance of F, N^2. First order, J cov J^T, but with
-    finite_slope() in place of 1 / |cos(delta)|, which grows without bound near a tangential contact, where the real
-    spread of theta stays near SNR ** -0.5. F1 = F3 = 0: u_P for the worst direction, the angles NaN.
-    """
+    """Return the standard uncertainties (u_P, u_phi, u_theta). cov: the upper triangle (11, 12, 13, 22, 23, 33) of the
+    covariance of F, N^2. First order, J cov J^T, but finite_slope() for 1 / |cos(delta)|, which grows without bound
+    near a tangential contact (the real spread of theta stays near SNR ** -0.5). F1 = F3 = 0: worst u_P, angles NaN."""
     return deviations(scaled_force(F1, F2, F3), scaled_covariance(cov), pull)[:3]
 
 
 def deviations(
     force: "ScaledForce | None", covariance: "ScaledCovariance | None", pull: bool
 ) -> tuple[float, float, float, float, float]:
-    """Return uncertainty(), the standard uncertainty of F2 / P to first order, and |cos(delta)|.
-
-    force, covariance: of scaled_force() and scaled_covariance().
-    """
+    """Return uncertainty(), the standard uncertainty of F2 / P to first order, and |cos(delta)|. force, covariance: of
+    scaled_force() and scaled_covariance()."""
     if force is None or covariance is None:
         return NAN, NAN, NAN, NAN, NAN
     _F1, _F3, f1, f2, f3, hypotenuse, cosine_squared, exponent = force
@@ -143,10 +132,8 @@ def magnitude_uncertainty(
 
 def clearly_resolved(P: float, F2: float, cov: tuple[float, float, float, float, float, float]) -> bool:
     """Return True where a bound shows that u_theta is below THETA_RESOLVED_DEG: a sixth of the work of uncertainty().
-
-    With s^2 the trace of cov, the step of x = |F2| / P is at most sqrt(2) s / P, the slope at most that of asin at
-    x + step, and u_theta at most s / P (1 + sqrt(2) slope). False, for NaN too, says nothing.
-    """
+    With s^2 the trace of cov, the step of x = |F2| / P is at most sqrt(2) s / P, the slope at most that of asin at x +
+    step, and u_theta at most s / P (1 + sqrt(2) slope). False, for NaN too, says nothing."""
     trace = cov[0] + cov[3] + cov[5]
     if not (trace > SMALLEST_STEP and P > 0.0):
         return False
@@ -156,10 +143,8 @@ def clearly_resolved(P: float, F2: float, cov: tuple[float, float, float, float,
 
 
 def miss_uncertainty(F1: float, F2: float, F3: float, cov: tuple[float, float, float, float, float, float]) -> float:
-    """Return the standard uncertainty of |F2| - hypot(F1, F3) in newtons; cov as in uncertainty().
-
-    Needed only for a miss above zero. F1 = F3 = 0: the largest that any direction and correlation can give.
-    """
+    """Return the standard uncertainty of |F2| - hypot(F1, F3) in newtons; cov as in uncertainty(). Needed only for a
+    miss above zero. F1 = F3 = 0: the largest that any direction and correlation can give."""
     force, covariance = scaled_force(F1, F2, F3), scaled_covariance(cov)
     if force is None or covariance is None:
         return NAN
@@ -172,11 +157,9 @@ def miss_uncertainty(F1: float, F2: float, F3: float, cov: tuple[float, float, f
 
 
 def finite_slope(x: float, cosine: float, step: float) -> float:
-    """Return the slope of asin at x over one standard uncertainty, ``step``: root mean square of the two chords.
-
-    x = |F2| / P in [0, 1]; cosine = sqrt(1 - x^2) is more precise than x. Far from x = 1 it is 1 / cosine; at x = 1 the
-    outward chord is zero and it is about step ** -0.5.
-    """
+    """Return the slope of asin at x over one standard uncertainty, ``step``: root mean square of the two chords. x =
+    |F2| / P in [0, 1]; cosine = sqrt(1 - x^2) is more precise than x. Far from x = 1 it is 1 / cosine; at x = 1 the
+    outward chord is zero and it is about step ** -0.5."""
     if step < SMALLEST_STEP:
         return 1.0 / max(cosine, SMALLEST_COSINE)
     inward = _arc(x, cosine, -min(step, 1.0 + x))
@@ -194,13 +177,10 @@ def status_bits(
     limits: tuple[float, float, float, float],
     was_present: bool,
 ) -> int:
-    """Return the bits CONTACT_PRESENT, THETA_UNRESOLVED, MISSES_TIP and OUTSIDE_PAD of one sample.
-
-    limits: (contact-on N, contact-off N, theta minimum, theta maximum in degrees) with contact-off <= contact-on and
-    minimum <= maximum; the pad may run across 180 degrees (150 to 210). was_present: the sample before had
-    CONTACT_PRESENT. NaN is never a contact; a NaN in theta or in any uncertainty leaves theta unresolved. OUTSIDE_PAD
-    is set only if theta is known: with a contact, theta resolved, the tip not missed.
-    """
+    """Return the bits CONTACT_PRESENT, THETA_UNRESOLVED, MISSES_TIP and OUTSIDE_PAD of one sample. limits: contact-on
+    >= contact-off, N, theta minimum <= maximum, degrees (150 to 210 is allowed). was_present: that of the sample
+    before. NaN is never a contact; a NaN in theta or an uncertainty leaves theta unresolved. OUTSIDE_PAD is set only
+    with a contact, theta resolved, the tip not missed."""
     on, off, theta_min_deg, theta_max_deg = limits
     bits = 0
     if P >= (off if was_present else on):
@@ -219,10 +199,7 @@ def status_bits(
 
 def unknown(status: int, rank_left_is_3: bool = False) -> int:
     """Return the values that a status byte makes unknown, as bits UNKNOWN_FORCE, _PHI, _THETA and _GAUGES.
-
-    rank_left_is_3: the node used only unsaturated gauges, which determine all three forces: SATURATED then makes no
-    value unknown.
-    """
+    rank_left_is_3: the unsaturated gauges determined all three forces; SATURATED then makes no value unknown."""
     if status | OUTSIDE_PAD == _ALL_KNOWN:
         return 0
     bits = 0
@@ -239,9 +216,7 @@ def unknown(status: int, rank_left_is_3: bool = False) -> int:
 
 def scaled_force(F1: float, F2: float, F3: float) -> "ScaledForce | None":
     """Return (F1, F3, f1, f2, f3, hypotenuse, cosine squared, exponent) with F = f 2^exponent; None for NaN, infinity.
-
-    Scaled by a power of two, squares neither over- nor underflow; hypotenuse is that of f1 and f3.
-    """
+    Scaled by a power of two, squares neither over- nor underflow; hypotenuse is that of f1 and f3."""
     f1, f2, f3, exponent = F1, F2, F3, 0
     a1, a2, a3 = abs(F1), abs(F2), abs(F3)
     if not 1e-9 < a1 + a2 + a3 < 1e9:  # else, nearly always, the squares are within single precision as they are

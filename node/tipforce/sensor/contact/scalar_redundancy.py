@@ -1,13 +1,11 @@
-"""More than three gauges, for a microcontroller: whether and which gauges contradict, and the force from the rest.
+"""More than three gauges, on the MicroPython subset: whether and which gauges contradict, and the force from the rest
+(redundancy.py explains it). Matrices are lists of rows, noise is the upper triangle of the gauges' covariance (2106h),
+strain^2.
 
-Needs only the math module and the MicroPython subset; redundancy.py has the same for arrays and explains it. Matrices
-are lists of rows, noise is the upper triangle of the gauges' covariance by rows (object 2106h), strain^2.
-
-With V = A F + e and the covariance Sigma of e, the n - 3 rows w of ``directions`` have w A = 0 and w Sigma w = 1:
-p = W V does not depend on the force. Gauges that vary more than their noise, by ``extra`` strain^2 (a model uncertainty
-grows with the strain), make p vary by M = I + sum of extra_k w_k w_k; chi-square p M^-1 p is that of the weighted
-residuals of redundancy.py with Sigma + diag(extra). A fault f of gauge k adds f w_k to p, w_k being column k of W.
-"""
+With V = A F + e and the covariance Sigma of e, the n - 3 rows w of ``directions`` have w A = 0 and w Sigma w = 1: p = W
+V does not depend on the force. Gauges that vary more than their noise, by ``extra`` strain^2 (a model uncertainty grows
+with the strain), make p vary by M = I + sum of extra_k w_k w_k; chi-square p M^-1 p is that of redundancy.py with Sigma
++ diag(extra). A fault f of gauge k adds f w_k to p, w_k being column k of W."""
 
 from math import erfc, exp, pi, sqrt
 
@@ -69,10 +67,8 @@ def _exceeds(x: float, degrees: int) -> float:
 
 
 def structure_matrix(C: list[list[float]], noise: list[float]) -> list[list[float]] | None:
-    """Return A, n rows of 3, strain per newton: Sigma C^T (C Sigma C^T)^-1; None where that has no rank 3.
-
-    noise all zero stands for gauges of equal noise.
-    """
+    """Return A, n rows of 3, strain per newton: Sigma C^T (C Sigma C^T)^-1; None where that has no rank 3. noise all
+    zero stands for gauges of equal noise."""
     covariance = _covariance(noise, len(C[0]))
     through = [[dot(row, column) for column in covariance] for row in C]  # C Sigma, Sigma being symmetric
     K = [[dot(left, right) for right in C] for left in through]
@@ -83,12 +79,10 @@ def structure_matrix(C: list[list[float]], noise: list[float]) -> list[list[floa
 def leave_out(
     C: list[list[float]], noise: list[float], left_out: list[int], condition_limit: float = CONDITION_LIMIT
 ) -> tuple[list[list[float]], tuple[float, float, float, float, float, float]] | None:
-    """Return (matrix, covariance of F) that use all gauges but some, or None where the rest has no rank 3.
-
-    left_out: gauges from 0. The matrix is 3 rows of n with zeros for them, newtons per unit strain; the covariance as
-    scalar.uncertainty() takes it. No rank 3: fewer than three gauges left, a singular covariance, or a condition number
-    over the limit. C must weigh by noise; all zero: equal weights, and a covariance of zero.
-    """
+    """Return (matrix, covariance of F as of scalar.uncertainty()) without the gauges ``left_out`` (from 0); None
+    without rank 3: fewer than three left, a singular covariance, or a condition number over the limit. The matrix is 3
+    rows of n, newtons per unit strain, zeros for them. C must weigh by noise; all zero: equal weights, a covariance of
+    zero."""
     n = len(C[0])
     kept = [k for k in range(n) if k not in left_out]
     A = structure_matrix(C, noise)
@@ -152,11 +146,8 @@ for a fault that moves F by more than three times what all its noise does."""
 
 
 def directions(C: "list[list[float]]", noise: "list[float]", kept: "list[int]") -> "Directions | None":
-    """Return W, m - 3 rows of n, per strain, of the m gauges ``kept``; zero columns for the others.
-
-    C: 3 rows of n, the inverse that weighs by noise (2106h, upper triangle). None: m < 4, noise all zero, a singular
-    covariance, or a C without rank 3.
-    """
+    """Return W, m - 3 rows of n, per strain, of the m gauges ``kept``; zero columns for the others. C: 3 rows of n that
+    weigh by noise (2106h, upper triangle). None: m < 4, noise zero, a singular covariance, or a C without rank 3."""
     n = len(C[0])
     A = structure_matrix(C, noise) if len(kept) > 3 and any(noise) else None
     if A is None:
@@ -203,13 +194,11 @@ def judge(
     exclusion: float,
 ) -> "tuple[float, int, list[tuple[float, float]]]":
     """Return (chi-square, bits of the gauges that may be at fault, (chi-square, visibility) of each gauge's fault).
-
-    strains: offsets taken off; those of gauges that are not kept must be finite. shown: ``columns``. extra: strain^2 of
-    each gauge beside its noise, None for none. alarm and exclusion: what chi-square must exceed with as many degrees of
-    freedom as W has rows, and with one less. Bits -1: nothing is wrong; 0: no single gauge explains it; one bit: that
-    gauge; more: they cannot be told apart. A gauge explains what its best-fitting fault leaves no more than
-    ``exclusion`` of. Zeros for a gauge that is not shown. NaN in: chi-square NaN, bits 0.
-    """
+    strains: without offsets, finite for gauges that are not kept. shown: ``columns``. extra: strain^2 of each gauge
+    beside its noise. alarm, exclusion: limits of chi-square with as many degrees of freedom as W has rows, and one
+    less: a gauge explains what its best-fitting fault leaves no more than exclusion of. Bits -1: nothing is wrong; 0:
+    no single gauge explains it; more than one: they cannot be told apart. Zeros for a gauge not shown. NaN in:
+    chi-square NaN, bits 0."""
     chi_square, faults = explained(W, shown, strains, extra)
     bits = 0
     for k in range(len(strains)):
@@ -232,10 +221,8 @@ def explained(
     square_root: "Callable[[Number], Number]" = sqrt,
 ) -> "tuple[Number, list[tuple[Number, Number]]]":
     """Return (chi-square, (what of it the best-fitting fault explains, chi-square per strain^2) of each gauge).
-
     Arguments as of ``judge``; noise: by how much the gauges' noise is larger in variance. With numpy's square root, the
-    strain of each gauge may be a column of samples, and so are the results.
-    """
+    strain of each gauge may be a column of samples, and so are the results."""
     p = [dot(row, strains) for row in W]
     root = None if extra is None else _root(W, extra, noise, square_root)
     q = p if root is None else _forward(root, p)
@@ -253,11 +240,9 @@ def explained(
 def doubt(
     C: "list[list[float]]", noise: "list[float]", faults: "list[tuple[float, float]]"
 ) -> "tuple[float, float, float, float, float, float]":
-    """Return what a fault below the limit adds to the covariance of F: upper triangle, N^2.
-
-    The squares of what each gauge's best-fitting fault does to F, by the probability of that fault (Bayes: odds of
-    NO_FAULT to 1 before the sample, likelihood exp(explained / 2)). faults: of ``judge``.
-    """
+    """Return what a fault below the limit adds to the covariance of F: upper triangle, N^2. The squares of what each
+    gauge's best-fitting fault does to F, by the probability of that fault (Bayes: odds of NO_FAULT to 1 before the
+    sample, likelihood exp(explained / 2)). faults: of ``judge``."""
     n = len(faults)
     shown: list[int] = []
     place, most = 0, 0.0
@@ -294,7 +279,6 @@ def _root(
 
 
 def _forward(L: "list[list[Number]]", b: "Sequence[Number]") -> "list[Number]":
-    """x with L x = b."""
     x: list[Number] = []
     for i in range(len(b)):
         x.append((b[i] - dot(L[i][:i], x)) / L[i][i])

@@ -12,8 +12,7 @@ A mode in its own time tau = omega t and in units of its static response z:
 With s the impulse response, I0 its integral (the step response) and J the integral of that: p11 = 1 - I0, p12 = s,
 p21 = -s, p22 = 1 - I0 - 2 zeta s; b11 = J / x, b10 = I0 - J / x, b21 = I0 / x, b20 = s - I0 / x. If the textbook's
 differences of nearly equal numbers would lose digits, another form of the same functions is used: a power series for
-short steps, two decaying exponentials for strong damping.
-"""
+short steps, two decaying exponentials for strong damping."""
 
 from __future__ import annotations
 
@@ -47,10 +46,8 @@ class Hold(NamedTuple):
 
 
 def hold(x: float, zeta: float) -> Hold:
-    """Return the coefficients for x = omega h >= 0 and the damping ratio zeta >= 0, both finite.
-
-    Relative error of the response about 1e-15, from x = 1e-150 to 1e300.
-    """
+    """Return the coefficients for x = omega h >= 0 and the damping ratio zeta >= 0, both finite. Relative error of the
+    response about 1e-15, from x = 1e-150 to 1e300."""
     if x == 0.0:
         return Hold(1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
     s, step, ramp, p22 = _responses(x, zeta)
@@ -171,11 +168,9 @@ def node_coefficients(modes: Modes, step_s: float) -> Coefficients:
 
 
 def respond(modes: Modes, loads_newtons: npt.ArrayLike, step_s: float, start: State | None = None) -> Response:
-    """Return the elastic force at every sample of a load (m, 3), ``step_s`` apart, m at least 1.
-
-    start: the state at the first sample, ``at_rest`` if None. After a load that is not finite the force is not, either.
-    Raises InputError for shapes that do not fit, or a step out of range.
-    """
+    """Return the elastic force at every sample of a load (m, 3), ``step_s`` apart, m at least 1. start: the state at
+    the first sample, ``at_rest`` if None. After a load that is not finite the force is not, either. Raises InputError
+    for shapes that do not fit, or a step out of range."""
     F = checked_loads(loads_newtons)
     held = np.array(holds(modes, step_s))
     g = F @ modes.load_shape.T
@@ -194,11 +189,9 @@ def checked_loads(loads_newtons: npt.ArrayLike) -> FloatArray:
 
 
 def _scan(held: FloatArray, drive: FloatArray, start: State) -> tuple[FloatArray, FloatArray]:
-    """Return all states (m, n) of the recurrence, in blocks: about 2 sqrt(m) passes through Python instead of m.
-
-    All blocks start from zero at once; then the state at the end of each is carried to the next, its free motion added
-    by powers of the step's matrix. Multiples of the step would round, which thousands of radians per step would show.
-    """
+    """Return all states (m, n) of the recurrence, in blocks: about 2 sqrt(m) passes through Python instead of m. All
+    blocks start from zero at once; then the state at the end of each is carried to the next, its free motion added by
+    powers of the step's matrix. Multiples of the step would round, which thousands of radians per step would show."""
     steps, n = drive.shape[1:]
     if steps == 0:
         return start.position[np.newaxis], start.velocity[np.newaxis]

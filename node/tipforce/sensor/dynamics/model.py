@@ -1,12 +1,8 @@
-"""The tip on its beams as an oscillator: masses, modes, and the transfer from force to gauge readings.
-
-The tip is rigid, a half cylinder of steel, joined to the outer beam ends by rigid massless legs; the fixture does not
-move. Joint and beams are massless by default: then three modes remain, and all gauges measure one elastic force. With
-mass there are six, the joint's far above, and the gauges of arms and vertical beam measure different forces.
-
-Coordinates are y = (v, r rotation, u): the displacements conjugate to F = (F1, F2, F3), in metres. Small motions; no
-gravity; damping is an assumed ratio per mode, which the paper did not measure.
-"""
+"""The tip on its beams as an oscillator: masses, modes, and the transfer from force to gauge readings. The tip is
+rigid, a half cylinder of steel, joined to the outer beam ends by rigid massless legs; the fixture does not move. Joint
+and beams are massless by default: then three modes remain, and all gauges measure one elastic force. With mass there
+are six, the joint's far above, and the gauges of arms and vertical beam differ. Coordinates: y = (v, r rotation, u),
+conjugate to F, in metres. Small motions; no gravity; damping is an assumed ratio per mode."""
 
 from __future__ import annotations
 
@@ -64,10 +60,8 @@ def half_cylinder(geometry: Geometry, density_kg_m3: float = STEEL_DENSITY) -> R
 
 @dataclass(frozen=True, slots=True)
 class Modes:
-    """A structure in its modes. n = 3 or 6. A modal position z is in units of its own static response.
-
-    z'' / omega^2 + 2 zeta z' / omega + z = load_shape F for every mode; the others follow from z.
-    """
+    """A structure in its modes. n = 3 or 6. A modal position z is in units of its own static response. z'' / omega^2 +
+    2 zeta z' / omega + z = load_shape F for every mode; the others follow from z."""
 
     omega_rad_s: FloatArray
     """(n,), lowest first."""
@@ -98,12 +92,9 @@ def modes(
     joint: RigidBody | None = None,
     beam_density_kg_m3: float = 0.0,
 ) -> Modes:
-    """Return the modes of one body: 3 if joint and beams are massless, else 6.
-
-    damping_ratio: one for all modes or one for each, lowest first. tip: half_cylinder(geometry) if None. joint: a
-    rigid block at the origin. beam_density_kg_m3: 0 neglects the mass of the beams. Raises InputError for a body beyond
-    floating point, or damping ratios out of range or in wrong number.
-    """
+    """Return the modes of one body: 3 if joint and beams are massless, else 6. damping_ratio: one for all or for each,
+    lowest first. tip: by default half_cylinder(geometry). joint: a rigid block at the origin. beam_density_kg_m3: 0
+    neglects it. Raises InputError for a body beyond floating point, or unfit damping ratios."""
     if not 0.0 <= beam_density_kg_m3 < math.inf:
         raise InputError(f"beam_density_kg_m3 = {beam_density_kg_m3!r}: allowed is 0 (neglected) or more, finite")
     frame, r = Frame(geometry), geometry.r_m
@@ -164,9 +155,7 @@ def _damping(damping_ratio: float | Sequence[float], n: int) -> FloatArray:
 
 def beam_mass_matrix(geometry: Geometry, density_kg_m3: float) -> FloatArray:
     """Return the mass matrix (6, 6), kg, for (motion of the joint, motion of the tip relative to it), each as y.
-
-    Consistent masses of Hermite's cubic and linear stretch: shear, roots and rotatory inertia are neglected.
-    """
+    Consistent masses of Hermite's cubic and linear stretch: shear, roots and rotatory inertia are neglected."""
     g = geometry
     total = np.zeros((6, 6))
     for sign in (-1.0, 1.0):
@@ -209,12 +198,9 @@ _SWEEPS = 60
 
 
 def jacobi(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (values (n,), vectors (n, n) as columns), largest value first, by Jacobi's rotations.
-
-    Unlike those of numpy.linalg.eigh, small eigenvalues keep their digits (Demmel and Veselic 1992): a thin beam's
-    stiffness beside a thick one's. A rotation is skipped only where the entry is small against the geometric mean of
-    its two diagonal entries.
-    """
+    """Return (values (n,), vectors (n, n) as columns), largest value first, by Jacobi's rotations: unlike
+    numpy.linalg.eigh, small eigenvalues keep their digits (Demmel and Veselic 1992), a thin beam's beside a thick
+    one's. A rotation is skipped only for an entry small against the geometric mean of its diagonals."""
     A, Q = matrix.copy(), np.eye(len(matrix))
     pairs = [(i, j) for i in range(len(A)) for j in range(i + 1, len(A))]
     for _ in range(_SWEEPS):

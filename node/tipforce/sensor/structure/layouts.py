@@ -7,11 +7,9 @@ from collections.abc import Iterable, Sequence
 from tipforce.errors import InputError
 
 POINTS = ("L", "R", "T", "U", "K_H", "S_H", "K_V", "S_V")
-"""Gauge points in the order of Table 1; L, R, K_H, S_H on the horizontal beam, the others on the vertical.
-
-L and R are the outer ends, T and U the fixture end, K and S the two inner corners of the joint; L, T and K
-lie at negative x, R, U and S at positive x.
-"""
+"""Gauge points in the order of Table 1; L, R, K_H, S_H on the horizontal beam, the others on the vertical. L and R are
+the outer ends, T and U the fixture end, K and S the two inner corners of the joint; L, T and K lie at negative x, R, U
+and S at positive x."""
 
 VERTICAL_POINTS = frozenset({"T", "U", "K_V", "S_V"})
 MIN_GAUGES, MAX_GAUGES = 3, 8
@@ -60,10 +58,8 @@ def layout(name_or_points: Layout) -> tuple[str, ...]:
 
 
 def mirror(name_or_points: Layout) -> tuple[str, ...]:
-    """Return the layout mirrored at the y-axis, gauge by gauge. Raises InputError as layout() does.
-
-    For (F1, F2, F3) a mirrored gauge reads what the original does for (F1, -F2, -F3): equal condition number.
-    """
+    """Return the layout mirrored at the y-axis, gauge by gauge. Raises InputError as layout() does. For (F1, F2, F3) a
+    mirrored gauge reads what the original does for (F1, -F2, -F3): equal condition number."""
     return tuple(MIRROR[point] for point in layout(name_or_points))
 
 

@@ -1,12 +1,9 @@
 """Loads out of the plane: their effect on the gauges by a three-dimensional beam model (section 3.3 of the paper).
-
 Axes: x along the horizontal beam, y from the fixture to the tip, z along the width; origin at the middle of the
-horizontal beam. Both arms of the horizontal beam join a rigid tip to a rigid joint; the vertical beam is clamped.
-Euler-Bernoulli bending in both planes, axial force, torsion. Torsion is St Venant's, with warping either free, or
-(thin-rectangle theory of Vlasov) restrained at every beam end: then the shear of torsion vanishes at the ends, as the
-paper states, but an axial strain y z phi'' replaces it, to which a gauge off the centre line responds.
-Neglected: shear deformation, the compliance of tip and fixture, stress concentration in the corners.
-"""
+horizontal beam. Rigid tip and joint, clamped vertical beam; Euler-Bernoulli bending in both planes, axial force, St
+Venant's torsion, with warping free, or (thin-rectangle theory of Vlasov) restrained at every beam end: then the shear
+of torsion vanishes there, as the paper states, but an axial strain y z phi'' replaces it, to which a gauge off the
+centre line responds. Neglected: shear deformation, compliance of tip and fixture, stress concentration in corners."""
 
 from __future__ import annotations
 
@@ -78,9 +75,7 @@ class _Section:
 
 def torsion_constants(width_m: float, thickness_m: float) -> tuple[float, float]:
     """Return (J, W) of a rectangle, m^4 and m^3 (St Venant): twist per length T / (G J), largest shear stress T / W.
-
-    Raises InputError where thickness is not the smaller side.
-    """
+    Raises InputError where thickness is not the smaller side."""
     if not 0.0 < thickness_m <= width_m:
         raise InputError(f"thickness {thickness_m!r} m of a beam {width_m!r} m wide: allowed is above 0, up to it")
     slenderness = width_m / thickness_m
@@ -93,11 +88,9 @@ def torsion_constants(width_m: float, thickness_m: float) -> tuple[float, float]
 
 
 def wrench_strain_matrix(geometry: Geometry, gauges: list[PlacedGauge], *, warping_held: bool = False) -> FloatArray:
-    """Return the strain per unit of a wrench on the tip, shape (n, 6), tension positive.
-
-    The wrench is (Fx, Fy, Fz, Mx, My, Mz) about the middle of the horizontal beam, newtons and newton metres.
-    Raises InputError for a beam that is thicker than wide.
-    """
+    """Return the strain per unit of a wrench on the tip, shape (n, 6), tension positive. The wrench is (Fx, Fy, Fz, Mx,
+    My, Mz) about the middle of the horizontal beam, newtons and newton metres. Raises InputError for a beam that is
+    thicker than wide."""
     horizontal = _Section(geometry, geometry.a_m, geometry.h1_m, warping_held)
     vertical = _Section(geometry, geometry.d_m, geometry.h2_m, warping_held)
     arms = _arm_loads(horizontal)
@@ -144,12 +137,9 @@ def apparent_force(
     warping_held: bool = False,
     inward_m: float = 0.0,
 ) -> ApparentForce:
-    """Return the force that a planar calibration computes from unwanted wrenches (m, 6): the worst of them.
-
-    Every gauge is misplaced by the two amounts, with the worst signs, and calibrated in the plane at that place.
-    inward_m: distance of the gauges' middles from the fixed ends. Raises InputError for an unusable layout, or wrenches
-    of another shape.
-    """
+    """Return the force that a planar calibration computes from unwanted wrenches (m, 6), the worst. Every gauge is
+    misplaced by the two amounts, with the worst signs, and calibrated in the plane there. inward_m: of the gauges'
+    middles from the fixed ends. Raises InputError for an unusable layout, or wrenches of another shape."""
     nominal = [nominal_position(geometry, point) for point in layout(gauges)]
     places = [place._replace(position_m=abs(place.position_m - inward_m)) for place in nominal]
     wrenches = np.atleast_2d(floats("wrenches", wrenches))
@@ -167,10 +157,8 @@ def apparent_force(
 
 
 def _arm_loads(beam: _Section) -> dict[str, FloatArray]:
-    """Return per arm the (6, 6) map from a wrench on the tip to the load at the arm's outer end, both on the arm.
-
-    The arms share the wrench as two springs in parallel between rigid bodies do.
-    """
+    """Return per arm the (6, 6) map from a wrench on the tip to the load at the arm's outer end, both on the arm. The
+    arms share the wrench as two springs in parallel between rigid bodies do."""
     L, in_plane, out = beam.length_m, beam.bend_in_plane, beam.bend_out_of_plane
     # Restrained warping stiffens the ends: what is left twists freely.
     held = 2.0 * beam.decay_m * tanh(0.5 * L / beam.decay_m) if beam.decay_m else 0.0

@@ -1,17 +1,12 @@
 """A plane frame by the direct stiffness method, an independent model of the body, and the loads that a body stands.
-
-Three bodies, each rigid: the fixture, the joint, the tip. Three elastic beams, each one two-node element with a 6 x 6
-stiffness matrix: the vertical beam (fixture to joint) and the two arms of the horizontal beam (joint to tip). A beam
-that carries load at its ends only is exact with one element. Signs: x to the right, y away from the fixture, angles
-counter-clockwise; tension is positive.
+Three rigid bodies: fixture, joint, tip. Three elastic beams, one two-node element each (exact for load at its ends
+only): the vertical beam (fixture to joint) and the two arms of the horizontal beam (joint to tip). x to the right, y
+away from the fixture, angles counter-clockwise; tension is positive. In the limit EULER_BERNOULLI (rigid roots, rigid
+joint without width) the frame equals Table 1 of the paper to rounding, its lever h1 / 2 included.
 
 The unknowns are the motion of the joint relative to the fixture and of the tip relative to the joint: then no stiffness
 is added to one of another beam 1e14 times smaller, and with diagonal scaling a body of 1 nm thickness is solved to
-rounding.
-
-In the limit EULER_BERNOULLI (rigid roots, rigid joint without width) the frame equals Table 1 of the paper to
-rounding, its lever h1 / 2 included.
-"""
+rounding."""
 
 from __future__ import annotations
 
@@ -30,12 +25,9 @@ from tipforce.sensor.structure.layouts import POINTS
 from tipforce.sensor.structure.strain import Gauge, place, stress_coefficients
 
 HALF_PLANE_ROTATION = 18.0 / math.pi
-"""E b h^2 times the rotation of a root per moment, for a beam on an elastic half plane.
-
-A moment M enters as the linear traction 12 M y / h^3; Flamant's solution gives the surface's displacement
--(2 / pi E) integral p(y') ln|y - y'| dy', and its mean slope, weighted by the traction, is 18 / (pi E b h^2) M (plane
-stress): equivalent to a beam that is 0.48 h longer.
-"""
+"""E b h^2 times the rotation of a root per moment, for a beam on an elastic half plane. A moment M enters as the linear
+traction 12 M y / h^3; Flamant's solution gives the surface's displacement -(2 / pi E) integral p(y') ln|y - y'| dy',
+whose mean slope, weighted by the traction, is 18 / (pi E b h^2) M (plane stress): a beam that is 0.48 h longer."""
 
 
 SHEAR_COEFFICIENT = 5.0 / 6.0
@@ -81,11 +73,8 @@ class _Element(NamedTuple):
 
 
 class Frame:
-    """Frame model of one body, solved once for F1 = 1, F2 = 1, F3 = 1 newton.
-
-    Raises InputError for a body so thin or thick that floating point cannot represent its stiffness, or if
-    a finite joint is wider than the horizontal beam.
-    """
+    """Frame model of one body, solved once for F1 = 1, F2 = 1, F3 = 1 newton. Raises InputError for a body so thin or
+    thick that floating point cannot represent its stiffness, or if a finite joint is wider than the horizontal beam."""
 
     def __init__(self, geometry: Geometry, model: FrameModel = EULER_BERNOULLI) -> None:
         self.geometry, self.model = geometry, model
@@ -106,24 +95,19 @@ class Frame:
         self._scale = geometry.width_m * geometry.youngs_modulus_pascals
 
     def strain_matrix(self, gauges: Sequence[Gauge], gauge_length_m: float = 0.0) -> FloatArray:
-        """Return the strain per newton of F, shape (n, 3), tension positive, as the mean over gauge_length_m.
-
-        The points K_H and S_H are where their arms start. Raises InputError for an unknown gauge, one off its beam, or
-        one whose length reaches beyond it.
-        """
+        """Return the strain per newton of F, shape (n, 3), tension positive, as the mean over gauge_length_m. The
+        points K_H and S_H are where their arms start. Raises InputError for an unknown gauge, one off its beam, or one
+        whose length reaches beyond it."""
         return np.array([self._row(gauge, gauge_length_m) for gauge in gauges], dtype=np.float64).reshape(-1, 3)
 
     def motions(self) -> tuple[FloatArray, FloatArray]:
         """Return the motion of the tip relative to the joint, and of that relative to the fixture, per newton of F:
-        (3, 3), rows u_m, v_m, rotation_rad.
-        """
+        (3, 3), rows u_m, v_m, rotation_rad."""
         return self._tip / self._scale, self._joint / self._scale
 
     def slit_closure(self, fractions: npt.ArrayLike) -> FloatArray:
         """Return the decrease of the slit width between tip and horizontal beam, m per newton of F, (2, m, 3).
-
-        fractions: (m,) places along the left and the right arm, 0 at the joint, 1 at the tip.
-        """
+        fractions: (m,) places along the left and the right arm, 0 at the joint, 1 at the tip."""
         xi = np.asarray(fractions, dtype=np.float64)[:, np.newaxis]
         closures = []
         for element in self._arms.values():
@@ -162,9 +146,8 @@ class Frame:
 
 
 def _solve(elements: list[_Element], loads: FloatArray) -> FloatArray:
-    """Return the motion (u, v, rotation) of a body per newton of three loads (columns of (3, 3)): (3, 3), for E = 1
-    and width = 1. The stiffness is scaled to a diagonal of 1.
-    """
+    """Return the motion (u, v, rotation) of a body per newton of three loads (columns of (3, 3)): (3, 3), for E = 1 and
+    width = 1. The stiffness is scaled to a diagonal of 1."""
     stiffness = np.sum([e.motion.T @ e.stiffness[3:, 3:] @ e.motion for e in elements], axis=0)
     diagonal = np.diagonal(stiffness)
     if not (np.isfinite(stiffness).all() and (diagonal > 1e-300).all()):
@@ -234,11 +217,8 @@ _ROUNDING = 1e-12
 
 
 def worst_stress(geometry: Geometry, load_newtons: float) -> float:
-    """Return the largest stress anywhere on the beams in Pa, over all directions phi and contacts 0 to 180 degrees.
-
-    For any phi the contacts reach F2 = +-P, and phi + pi turns every sign: the maximum of |g . F| is
-    P (hypot(g1, g3) + |g2|), on either face.
-    """
+    """Return the largest stress on the beams in Pa, over all directions phi and contacts 0 to 180 degrees. F2 reaches
+    +-P for any phi, and phi + pi turns every sign: the maximum of |g . F| is P (hypot(g1, g3) + |g2|)."""
     largest = max(math.hypot(g1, g3) + abs(g2) for g1, g2, g3 in stress_coefficients(geometry).values())
     return largest * load_newtons / geometry.width_m
 
@@ -262,9 +242,7 @@ def slit_compliance(a: AnyArray, r: AnyArray, h1: AnyArray) -> AnyArray:
 
 def closing_load(geometry: Geometry, theta_rad: float, phi_rad: float, gap_m: float = PAPER_SLIT_M) -> float:
     """Return the static load P in newtons that closes the slit somewhere; inf where the load opens it everywhere.
-
-    Raises InputError for angles that are not finite, or a gap that is not above 0.
-    """
+    Raises InputError for angles that are not finite, or a gap that is not above 0."""
     if not (math.isfinite(theta_rad) and math.isfinite(phi_rad) and 0.0 < gap_m < math.inf):
         raise InputError(
             f"theta_rad = {theta_rad!r}, phi_rad = {phi_rad!r}, gap_m = {gap_m!r}: allowed are finite angles "

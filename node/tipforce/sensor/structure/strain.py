@@ -1,9 +1,6 @@
 """Force to strain: gauges at points of Table 1 or anywhere along the beams, their matrices and the quality of these.
-
-Every matrix multiplies F = (F1, F2, F3) = P (sin(phi), sin(phi - theta), cos(phi)), equation (16). Between its ends a
-beam carries no load, so the strain on its surface varies linearly along it. A gauge of finite length therefore reads
-the strain at its middle, exactly; one of 1 mm that begins at a corner reads 0.5 mm from it.
-"""
+Every matrix multiplies F = P (sin(phi), sin(phi - theta), cos(phi)), equation (16). Strain is linear along a beam
+without load: a gauge of finite length reads that at its middle; one of 1 mm at a corner, 0.5 mm from it."""
 
 from __future__ import annotations
 
@@ -50,12 +47,10 @@ def nominal_position(geometry: Geometry, point: str) -> GaugePosition:
 def strain_row(
     geometry: Geometry, beam: Beam, side: Side, position_m: npt.ArrayLike, face: Face = "lower"
 ) -> FloatArray:
-    """Return the strain per newton of F = (F1, F2, F3), shape (..., 3), tension positive, at positions (...).
-
-    The arguments are the fields of GaugePosition. Table 1 at the eight points, linear between them: equations (5) and
-    (6) with the lever arm in place of d, and from equation (4) to (3) and from (11) to (10) on the horizontal beam.
-    Raises InputError for an unknown beam, side or face, or a position off the beam.
-    """
+    """Return the strain per newton of F, shape (..., 3), tension positive, at positions (...); arguments as of
+    GaugePosition. Table 1 at the eight points, linear between them: equations (5) and (6) with the lever arm in place
+    of d, on the horizontal beam from (4) to (3) and (11) to (10). Raises InputError for an unknown beam, side or face,
+    or a position off the beam."""
     if beam not in ("H", "V") or side not in ("left", "right") or face not in ("lower", "upper"):
         raise InputError(
             f"gauge place beam {beam!r}, side {side!r}, face {face!r}: allowed are H or V, left or right, "
@@ -94,9 +89,7 @@ def position_matrix(geometry: Geometry, positions: Sequence[GaugePosition]) -> F
 
 def shifted(geometry: Geometry, gauge: str | GaugePosition, shift_m: Any) -> GaugePosition:
     """Return the position shift_m (or an array of such) inward of a gauge: along its beam, away from the nearer end.
-
-    Raises InputError for an unknown point; strain_row() rejects a shift beyond the beam.
-    """
+    Raises InputError for an unknown point; strain_row() rejects a shift beyond the beam."""
     spot = place(geometry, gauge)
     length = geometry.a_m if spot.beam == "H" else geometry.d_m
     inward = 1.0 if spot.position_m < 0.5 * length else -1.0
@@ -105,9 +98,7 @@ def shifted(geometry: Geometry, gauge: str | GaugePosition, shift_m: Any) -> Gau
 
 def shifted_matrix(geometry: Geometry, gauges: Layout, shifts_m: npt.ArrayLike) -> FloatArray:
     """Return the strain matrices (..., n, 3) of a layout, gauges shifted() by shifts_m (..., n), or all by a scalar.
-
-    Raises InputError for an unusable layout, a last axis that is not n, or a gauge shifted off its beam.
-    """
+    Raises InputError for an unusable layout, a last axis that is not n, or a gauge shifted off its beam."""
     points = layout(gauges)
     shifts = floats("shifts_m", shifts_m)
     if shifts.ndim == 0:
@@ -128,11 +119,8 @@ def place(geometry: Geometry, gauge: Gauge) -> GaugePosition:
 
 
 def check_gauges(geometry: Geometry, gauges: Sequence[Gauge]) -> tuple[Gauge, ...]:
-    """Return the gauges, SG1 first, if they are valid.
-
-    Raises InputError for fewer than 3 or more than 8, an unknown point, beam, side or face, a position off its
-    beam, or two gauges at one place.
-    """
+    """Return the gauges, SG1 first, if they are valid. Raises InputError for fewer than 3 or more than 8, an unknown
+    point, beam, side or face, a position off its beam, or two gauges at one place."""
     if not MIN_GAUGES <= len(gauges) <= MAX_GAUGES:
         raise InputError(f"a layout of {len(gauges)} gauge points: allowed are {MIN_GAUGES} to {MAX_GAUGES}")
     seen: dict[GaugePosition, Gauge] = {}
@@ -148,10 +136,8 @@ def check_gauges(geometry: Geometry, gauges: Sequence[Gauge]) -> tuple[Gauge, ..
 
 
 def gauge_matrix(geometry: Geometry, gauges: Sequence[Gauge]) -> FloatArray:
-    """Return the strain per newton of F, shape (n, 3), tension positive: Table 1, made continuous.
-
-    Raises InputError as check_gauges() does, and for a beam too thin for floating point.
-    """
+    """Return the strain per newton of F, shape (n, 3), tension positive: Table 1, made continuous. Raises InputError as
+    check_gauges() does, and for a beam too thin for floating point."""
     A = position_matrix(geometry, [place(geometry, gauge) for gauge in check_gauges(geometry, gauges)])
     if not np.isfinite(A).all():
         raise InputError(f"h1_m = {geometry.h1_m!r}, h2_m = {geometry.h2_m!r}: too thin, the strain is not finite")
@@ -167,10 +153,8 @@ def gauge_name(gauge: Gauge) -> str:
 
 
 def stress_coefficients(geometry: Geometry) -> dict[str, tuple[float, float, float]]:
-    """Return Table 1: per gauge point (g1, g2, g3) in Pa per newton for a beam of unit width (1 m), unit 1/m.
-
-    The paper's signs: compression is positive on the vertical beam. Infinite for a beam too thin for floating point.
-    """
+    """Return Table 1: per gauge point (g1, g2, g3) in Pa per newton for a beam of unit width (1 m), unit 1/m. The
+    paper's signs: compression is positive on the vertical beam. Infinite for a beam too thin for floating point."""
     table = {}
     for point in POINTS:
         beam, side, position_m, face = nominal_position(geometry, point)
@@ -183,9 +167,7 @@ def stress_coefficients(geometry: Geometry) -> dict[str, tuple[float, float, flo
 
 def strain_matrix(geometry: Geometry, gauges: Layout) -> FloatArray:
     """Return the strain per newton of F, shape (n, 3), tension positive for every gauge: Table 1 over width and E.
-
-    Raises InputError for an unusable layout, or a beam too thin for floating point.
-    """
+    Raises InputError for an unusable layout, or a beam too thin for floating point."""
     return gauge_matrix(geometry, layout(gauges))
 
 
@@ -202,19 +184,15 @@ _THIN_LIMIT = {
 
 
 def thin_limit_matrix(gauges: Layout) -> FloatArray:
-    """Return the strain matrix in the thin-beam limit, shape (n, 3), dimensionless, tension positive.
-
-    h1 -> 0 with h2 = sqrt(8/3) h1 and a = d = r. Strain per newton in units of 3 a / (2 h1^2 width E); the
-    "theory" column of Table 3 is its condition number. Raises InputError for an unusable layout.
-    """
+    """Return the strain matrix in the thin-beam limit, shape (n, 3), dimensionless, tension positive: h1 -> 0 with h2 =
+    sqrt(8/3) h1 and a = d = r, in units of 3 a / (2 h1^2 width E) per newton; its condition number is the "theory"
+    column of Table 3. Raises InputError for an unusable layout."""
     return np.array([_THIN_LIMIT[point] for point in layout(gauges)], dtype=np.float64)
 
 
 def calibration_matrix(geometry: Geometry, gauges: Layout) -> FloatArray:
-    """Return C of equation (1), shape (3, n), newtons per unit strain: the pseudo-inverse of strain_matrix().
-
-    Raises InputError for an unusable layout, and for one of rank below 3.
-    """
+    """Return C of equation (1), shape (3, n), newtons per unit strain: the pseudo-inverse of strain_matrix(). Raises
+    InputError for an unusable layout, and for one of rank below 3."""
     return pseudo_inverse(strain_matrix(geometry, gauges), layout(gauges))
 
 
@@ -229,11 +207,9 @@ def pseudo_inverse(matrix: FloatArray, names: Iterable[str]) -> FloatArray:
 
 
 def condition_number(matrix: npt.ArrayLike) -> float:
-    """Return the 2-norm condition number of a matrix (n, 3) or (3, n); inf where it is singular.
-
-    The same for the strain matrix and C. It depends on the units of F (the paper's F2 is a force, not a moment) and on
-    the scale of every row. NaN where an entry is not finite. Raises InputError for another shape.
-    """
+    """Return the 2-norm condition number of a matrix (n, 3) or (3, n); inf where it is singular. The same for the
+    strain matrix and C. It depends on the units of F (the paper's F2 is a force, not a moment) and on the scale of
+    every row. NaN where an entry is not finite. Raises InputError for another shape."""
     entries = floats("matrix", matrix)
     if entries.ndim != 2 or 3 not in entries.shape:
         raise InputError(f"the matrix has the shape {entries.shape}: allowed are (n, 3) and (3, n)")
@@ -244,10 +220,8 @@ def condition_number(matrix: npt.ArrayLike) -> float:
 
 
 def row_equilibrated_condition_number(matrix: npt.ArrayLike) -> float:
-    """Return the condition number of a strain matrix (n, 3) with rows of unit length; inf for a zero row.
-
-    The figure for gauges whose noise is the same fraction of their own range.
-    """
+    """Return the condition number of a strain matrix (n, 3) with rows of unit length; inf for a zero row. The figure
+    for gauges whose noise is the same fraction of their own range."""
     rows = floats("matrix", matrix)
     lengths = np.linalg.norm(rows, axis=1, keepdims=True)
     return condition_number(rows / lengths) if lengths.all() else float("inf")
