@@ -1,7 +1,5 @@
-"""Run time and import time of each part of a scene: the scene with the part against the scene without it.
-
-A part that others depend on is timed without them, so that each cost is counted once.
-"""
+"""Run time and import time of each part of a scene: the scene with the part against the scene without it. A part that
+others depend on is timed without them, so that each cost is counted once."""
 
 from __future__ import annotations
 
@@ -37,10 +35,8 @@ sample is one node at one SYNC."""
 
 
 def part_costs(scene: schema.Scene, path: Path, samples: int = 300, runs: int = 3) -> dict[str, Cost]:
-    """Measure every part, and "all": their sum, because each part was timed against the rest.
-
-    ``samples``: of a short run; ``runs``: repetitions, of which the minimum counts.
-    """
+    """Measure every part, and "all": their sum, because each part was timed against the rest. ``samples``: of a short
+    run; ``runs``: repetitions, of which the minimum counts."""
     imports = import_times(scene, path)
     ladder = rungs(scene)
     times = measure([step for _, step in ladder], path, samples, runs)
@@ -59,10 +55,8 @@ def part_costs(scene: schema.Scene, path: Path, samples: int = 300, runs: int = 
 
 
 def nondecreasing(values: Sequence[float]) -> list[float]:
-    """Return the nearest sequence (least squares) that does not fall: runs that fall are replaced by their mean.
-
-    A scene with one more part cannot take less time: such a difference is below the scatter of the clock.
-    """
+    """Return the nearest sequence (least squares) that does not fall: runs that fall are replaced by their mean. A
+    scene with one more part cannot take less time: such a difference is below the scatter of the clock."""
     blocks: list[tuple[float, int]] = []
     for value in values:
         blocks.append((value, 1))
@@ -145,10 +139,8 @@ class Measured:
 
 
 def measure(scenes: Sequence[schema.Scene], path: Path, samples: int, runs: int) -> list[Measured]:
-    """Time scenes of the file ``path`` without their bus; output files go to a separate folder.
-
-    The runs are interleaved and the minimum counts: other load on the machine only adds time.
-    """
+    """Time scenes of the file ``path`` without their bus; output files go to a separate folder. The runs are
+    interleaved and the minimum counts: other load on the machine only adds time."""
     short: list[list[float]] = [[] for _ in scenes]
     long: list[list[float]] = [[] for _ in scenes]
     outcomes: list[Outcome] = []
@@ -183,7 +175,6 @@ def _timed(scene: schema.Scene, path: Path, syncs: int) -> tuple[float, Outcome]
 
 
 def _in_folder(scene: schema.Scene, folder: Path) -> schema.Scene:
-    """Return the scene without its bus, with its output files in another folder."""
     given = {name: getattr(scene.outputs, name) for name in ("log", "table", "plot")}
     moved = {name: str(folder / Path(path).name) for name, path in given.items() if path is not None}
     return replace(scene, bus=None, outputs=replace(scene.outputs, **moved))
@@ -201,10 +192,8 @@ run_scene(scene, Path(sys.argv[2]), 1.5 / (scene.sync_hz or 1.0))
 
 
 def import_times(scene: schema.Scene, path: Path) -> dict[str, float]:
-    """Return the milliseconds of each part's imports, in a separate Python process; by part.
-
-    A module counts for the first part that lists it; a package of others counts with all its own imports.
-    """
+    """Return the milliseconds of each part's imports, in a separate Python process; by part. A module counts for the
+    first part that lists it; a package of others counts with all its own imports."""
     with tempfile.TemporaryDirectory(prefix="tipforce-cost-") as folder:
         text = msgspec.json.encode(_in_folder(scene, Path(folder))).decode()
         words = [sys.executable, "-X", "importtime", "-c", _IMPORT_RUN, text, str(path.parent)]

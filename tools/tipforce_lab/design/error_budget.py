@@ -1,9 +1,6 @@
-"""Error budget of P, phi, theta: each cause propagated through C, the calibration and the contact to first order.
-
-A cause is a set of independent elementary errors; each moves the estimated force by a vector that depends on the load.
-The covariance of F is the sum of their outer products; standard_uncertainties() converts it to P, phi, theta.
-A fixed offset, gain, shift or angle is not noise: its row is the scatter of the estimates of many such sensors.
-"""
+"""Error budget of P, phi, theta: each cause propagated through C, the calibration and the contact to first order. A
+cause is a set of independent elementary errors; the covariance of F is the sum of their outer products, for each load.
+A fixed offset, gain, shift or angle is not noise: its row is the scatter of the estimates of many such sensors."""
 
 from __future__ import annotations
 
@@ -135,10 +132,8 @@ def pad_loads(P_newtons: float, theta_min_deg: float, theta_max_deg: float, *, p
 
 
 def budget(sensor: Sensor, loads: Loads, causes: Causes) -> Budget:
-    """Return the budget of some loads, C fitted to the paper's grooves, one reading each and as many unloaded.
-
-    Raises InputError where the shapes do not fit.
-    """
+    """Return the budget of some loads, C fitted to the paper's grooves, one reading each and as many unloaded. Raises
+    InputError where the shapes do not fit."""
     n = sensor.C.shape[1] if sensor.C.ndim == 2 else 0
     if sensor.C.shape != (3, n) or sensor.A.shape != (n, 3) or sensor.covariance_strain2.shape != (n, n):
         raise InputError(
@@ -156,9 +151,7 @@ def budget(sensor: Sensor, loads: Loads, causes: Causes) -> Budget:
 
 def elementary_errors(sensor: Sensor, loads: Loads, causes: Causes) -> tuple[dict[str, FloatArray], dict[str, str]]:
     """Return (cause -> errors of F, (q, m, 3) newtons, one for each of q independent standard deviations; left out).
-
-    Zeros for a cause without effect. The second gives the reason for each cause that cannot be computed.
-    """
+    Zeros for a cause without effect. The second gives the reason for each cause that cannot be computed."""
     C, F, n = sensor.C, loads.F, sensor.C.shape[1]
     strain = F @ sensor.A.T
     per_gauge = np.broadcast_to(C.T[:, np.newaxis, :], (n, len(F), 3))  # error of F per unit strain in each gauge
@@ -200,12 +193,9 @@ def elementary_errors(sensor: Sensor, loads: Loads, causes: Causes) -> tuple[dic
 
 
 def _calibration_errors(F: FloatArray, causes: Causes, noise: FloatArray) -> dict[str, FloatArray]:
-    """Return the errors of F from noise and angles of the calibration.
-
-    The fit uses F_i for the load F_i + angle F'_i: its strain is wrong by A F'_i, the fit by
-    A F'_i G_i^T N^-1 and a reading by -F'_i (G_i^T N^-1 G), for any A. The rows of N: the loads, and as many
-    unloaded readings. G^T N^-1 G is the part of the variance of one calibration reading that propagates to F.
-    """
+    """Return the errors of F from noise and angles of the calibration. The fit uses F_i for the load F_i + angle F'_i:
+    its strain is wrong by A F'_i, the fit by A F'_i G_i^T N^-1 and a reading by -F'_i (G_i^T N^-1 G), for any A. N has
+    the loads and as many unloaded readings; G^T N^-1 G is the part of one reading's variance that propagates to F."""
     hung = groove_loads()
     G, each = _with_one(hung.F), _with_one(F)
     solved = np.linalg.solve(G.T @ G + np.diag([0.0, 0.0, 0.0, float(len(G))]), each.T)
@@ -238,7 +228,6 @@ def _along_y(loads: Loads) -> BoolArray:
 
 
 def _slope(geometry: Geometry, place: GaugePosition) -> FloatArray:
-    """Return strain per newton and metre of shift along the beam, (3,)."""
     length = geometry.a_m if place.beam == "H" else geometry.d_m
     step = _SHIFT_STEP * length * (1.0 if place.position_m < 0.5 * length else -1.0)
     moved = place._replace(position_m=place.position_m + step)
@@ -266,10 +255,8 @@ _BAR, _TOTAL = "#0072b2", "#222222"
 
 
 def plot(error_budget: Budget, path: str) -> None:
-    """Draw the standard uncertainty of each cause, RMS over the loads, sorted by share of the variance of P.
-
-    Raises EnvironmentLackError without matplotlib, and InputError if the file, .png or .svg, cannot be written.
-    """
+    """Draw the standard uncertainty of each cause, RMS over the loads, sorted by share of the variance of P. Raises
+    EnvironmentLackError without matplotlib, and InputError if the file, .png or .svg, cannot be written."""
     *parts, total = (np.sqrt(np.mean(u**2, axis=0)) for u in (*error_budget.rows.values(), error_budget.total))
     sizes = np.array(parts)
     order = np.argsort(-sizes[:, 0], kind="stable")

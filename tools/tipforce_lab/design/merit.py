@@ -1,8 +1,6 @@
-"""Figures of merit of a structure, by beam theory and by the frame, and the designs that no other dominates.
-
-The figures by beam theory are closed formulas of Table 1; optimise any of them, report the others beside it. The
-condition number alone does not contain noise: it is unchanged if every gauge reads half as much.
-"""
+"""Figures of merit of a structure, by beam theory and by the frame, and the designs that no other dominates. The
+figures by beam theory are closed formulas of Table 1; optimise any of them, report the others beside it. The condition
+number alone does not contain noise: it is unchanged if every gauge reads half as much."""
 
 from __future__ import annotations
 
@@ -35,10 +33,8 @@ _CONTACTS, _DIRECTIONS = 61, 9  # midpoints over pad and friction cone; twice as
 
 @dataclass(frozen=True, slots=True)
 class LoadSet:
-    """The loads over which uncertainties are averaged: uniform over the pad and the angles of the friction cone.
-
-    Raises InputError for a load out of range.
-    """
+    """The loads over which uncertainties are averaged: uniform over the pad and the angles of the friction cone. Raises
+    InputError for a load out of range."""
 
     load_newtons: float = CALIBRATION_WEIGHT_NEWTONS
 
@@ -55,8 +51,7 @@ class LoadSet:
 
     def weights(self) -> FloatArray:
         """Return W_P, W_phi, W_theta, shape (3, 3, 3), units 1, (rad/N)^2, (rad/N)^2: means of j j^T, j the gradient of
-        P, phi or theta by F. First order: the mean variance of the quantity is tr(W C Sigma_V C^T).
-        """
+        P, phi or theta by F. First order: the mean variance of the quantity is tr(W C Sigma_V C^T)."""
         phi, theta = self.angles()
         s, c, zero = np.sin(phi), np.cos(phi), np.zeros_like(phi)
         delta = phi - theta
@@ -71,10 +66,8 @@ class LoadSet:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits of a structure, lengths in metres; the defaults are the paper's fabricated body and its stress.
-
-    Raises InputError for a value out of range, naming it.
-    """
+    """Limits of a structure, lengths in metres; the defaults are the paper's fabricated body and its stress. Raises
+    InputError for a value out of range, naming it."""
 
     envelope_x_m: float = 2.0 * FABRICATED.r_m
     """Across: 2 r."""
@@ -120,10 +113,8 @@ class Merit:
 
 
 def merit(strain_matrix: npt.ArrayLike, noise_microstrain: float, loads: LoadSet) -> Merit:
-    """Return the figures of a strain matrix (n, 3), strain per newton; equal white noise on every gauge.
-
-    A matrix of rank below 3 gives infinite uncertainties. Raises InputError for a noise that is negative or not finite.
-    """
+    """Return the figures of a strain matrix (n, 3), strain per newton; equal white noise on every gauge. A matrix of
+    rank below 3 gives infinite uncertainties. Raises InputError for a noise that is negative or not finite."""
     A = 1e6 * np.asarray(strain_matrix, dtype=np.float64)
     if not 0.0 <= noise_microstrain < math.inf:
         raise InputError(f"noise = {noise_microstrain!r} microstrain: allowed is 0 or more, finite")
@@ -179,11 +170,9 @@ class Assessment:
 def assess(
     name: str, geometry: Geometry, gauges: Sequence[Gauge], limits: Limits, noise_microstrain: float
 ) -> Assessment:
-    """Return the figures of one structure under the loads of the limits, with their gauge length and slit.
-
-    Points of Table 1 are read at the point itself: a gauge there would reach beyond the beam. Raises InputError
-    for gauges that are not usable.
-    """
+    """Return the figures of one structure under the loads of the limits, with their gauge length and slit. Points of
+    Table 1 are read at the point itself: a gauge there would reach beyond the beam. Raises InputError for gauges that
+    are not usable."""
     A, loads = gauge_matrix(geometry, gauges), limits.loads
     length_m = 0.0 if any(isinstance(gauge, str) for gauge in gauges) else limits.gauge_length_m
     block = replace(ELASTIC_ROOTS, finite_joint=True)
@@ -197,11 +186,8 @@ def assess(
 
 
 def glued(geometry: Geometry, gauges: Sequence[str], gauge_length_m: float) -> tuple[Gauge, ...]:
-    """Return gauges of that length as near to the points of Table 1 as the body allows.
-
-    At the joint a gauge of the arms begins beside the vertical beam, h2 / 2 from the middle. Raises InputError for
-    an unknown point.
-    """
+    """Return gauges of that length as near to the points of Table 1 as the body allows. At the joint a gauge of the
+    arms begins beside the vertical beam, h2 / 2 from the middle. Raises InputError for an unknown point."""
     inset = 0.5 * gauge_length_m
     positions: list[Gauge] = []
     for point in gauges:
@@ -225,9 +211,7 @@ FIGURES: dict[str, Callable[[Assessment], float]] = {
 
 def pareto(entries: Sequence[Assessment], figures: Sequence[Callable[[Assessment], float]]) -> list[Assessment]:
     """Return the entries that no other dominates in every figure (smaller is better), the best in the first one first.
-
-    An entry that is better by less than one percent counts as dominated.
-    """
+    An entry that is better by less than one percent counts as dominated."""
     kept: list[Assessment] = []
     for entry in sorted(entries, key=lambda e: tuple(figure(e) for figure in figures)):
         values = [figure(entry) for figure in figures]

@@ -1,8 +1,6 @@
-"""The comparators [5] and [11], other materials and smaller bodies: strain, noise and largest load, by beam theory.
-
-The material values are typical ones of data sheets (assumed: the paper names AISI 4340 alone, without values); replace
-them by those of the sheet that is bought. Yield is static; repeated loads need a fatigue limit.
-"""
+"""The comparators [5] and [11], other materials and smaller bodies: strain, noise and largest load, by beam theory. The
+material values are typical ones of data sheets (assumed: the paper names AISI 4340 alone, without values); replace them
+by those of the sheet that is bought. Yield is static; repeated loads need a fatigue limit."""
 
 from __future__ import annotations
 
@@ -27,19 +25,15 @@ COMPARATORS = (("[5]", 6, 4.2), ("[11]", 3, 20.05))
 
 
 def condition_range(condition: float, from_length_m: float, to_length_m: float) -> tuple[float, float]:
-    """Return the condition numbers possible on another scale for a matrix of which only the number is known.
-
-    Its moment columns change by f = to / from, and so the number by at most max(f, 1 / f), up or down.
-    """
+    """Return the condition numbers possible on another scale for a matrix of which only the number is known. Its moment
+    columns change by f = to / from, and so the number by at most max(f, 1 / f), up or down."""
     factor = max(to_length_m / from_length_m, from_length_m / to_length_m)
     return max(1.0, condition / factor), condition * factor
 
 
 def lengths_of_condition(geometry: Geometry, gauges: Layout, condition: float) -> tuple[float, ...]:
     """Return the lengths (m) at which a layout has a given condition number: none, or one to either side of its best.
-
-    The logarithm of the length is halved between the best length and 1e-6 and 1e6 of it.
-    """
+    The logarithm of the length is halved between the best length and 1e-6 and 1e6 of it."""
     best = best_length(geometry, gauges)
     if condition < tables.condition_at_length(geometry, gauges, best):
         return ()
@@ -102,10 +96,8 @@ def figures_of(geometry: Geometry, material: Material, gauges: Layout) -> Record
 
 
 def scaled(geometry: Geometry, scale: float, gauges: Layout, keep_thickness: bool) -> Record:
-    """Return the record of a body with lengths and width times ``scale``; thicknesses as well, or kept.
-
-    Condition numbers of gauges at their points, of GAUGE_LENGTH_M that begin there, and with the last 0.2 mm inward.
-    """
+    """Return the record of a body with lengths and width times ``scale``; thicknesses as well, or kept. Condition
+    numbers of gauges at their points, of GAUGE_LENGTH_M that begin there, and with the last 0.2 mm inward."""
     g = geometry
     body = replace(g, a_m=scale * g.a_m, d_m=scale * g.d_m, r_m=scale * g.r_m, width_m=scale * g.width_m)
     if not keep_thickness:

@@ -1,9 +1,7 @@
-"""Search for better structures: multi-start over dimensions and gauge places, within limits set by the manufacturer.
-
-Every distribution of the gauges over the faces of the beams is one configuration (mirror images count once). In
-one configuration, all variables are continuous: sequential quadratic programming (scipy's SLSQP) from several random
-starts, with exact derivatives (a complex step through the formulas of Table 1, made continuous).
-"""
+"""Search for better structures within a manufacturer's limits: multi-start over dimensions and gauge places. Each
+distribution of the gauges over the faces of the beams (mirror images count once) is one configuration, whose variables
+are continuous: sequential quadratic programming (scipy's SLSQP) from random starts, with exact derivatives (a complex
+step through Table 1)."""
 
 from __future__ import annotations
 
@@ -50,9 +48,7 @@ _SLOTS = (
 
 def configurations(gauges: int) -> list[tuple[GaugePosition, ...]]:
     """Return the distributions of n gauges over the faces, at least one on each beam, mirror images once; all at 0.
-
-    Raises InputError for fewer than 3 or more than 5 gauges.
-    """
+    Raises InputError for fewer than 3 or more than 5 gauges."""
     if not 3 <= gauges <= 5:
         raise InputError(f"{gauges} gauges: allowed are 3 to 5")
     sets_of_slots: dict[tuple[GaugePosition, ...], None] = {}
@@ -174,11 +170,9 @@ Score = Callable[[FloatArray], tuple[float, FloatArray]]
 
 
 def score(objective: Objective, loads: LoadSet) -> Score:
-    """Return the logarithm of an objective: u_theta, sqrt(trace(C C^T)), 1 / smallest singular value, or condition.
-
-    A thousandth of the noise is added to the condition number, which alone does not determine the beams' thickness.
-    Raises InputError for an unknown objective.
-    """
+    """Return the logarithm of an objective: u_theta, sqrt(trace(C C^T)), 1 / smallest singular value, or condition. A
+    thousandth of the noise is added to the condition number, which alone does not determine the beams' thickness.
+    Raises InputError for an unknown objective."""
     if objective not in OBJECTIVES:
         raise InputError(f"objective {objective!r} is not known: allowed are {', '.join(OBJECTIVES)}")
     if objective in ("theta", "noise"):
@@ -201,10 +195,8 @@ def mixed(parts: Sequence[tuple[float, Score]]) -> Score:
 
 
 def improve(problem: Problem, goal: Score, x: FloatArray) -> tuple[float, FloatArray] | None:
-    """Return the local optimum near x as (score, point), or None if it violates a limit.
-
-    Raises EnvironmentLackError if scipy is missing.
-    """
+    """Return the local optimum near x as (score, point), or None if it violates a limit. Raises EnvironmentLackError if
+    scipy is missing."""
     try:
         from scipy.optimize import minimize
     except ImportError:
@@ -271,11 +263,9 @@ def search(
     seed: int = 0,
     done: Callable[[], None] = lambda: None,
 ) -> list[Design]:
-    """Return the best design of each configuration that has one within the limits, the best first.
-
-    starts: random starts per configuration; done is called after each. Raises InputError for values out of range or if
-    no start ends within the limits, EnvironmentLackError if scipy is missing.
-    """
+    """Return the best design of each configuration that has one within the limits, the best first. starts: random
+    starts per configuration; done is called after each. Raises InputError for values out of range or if no start ends
+    within the limits, EnvironmentLackError if scipy is missing."""
     if starts < 1:
         raise InputError(f"{starts} starts: allowed is 1 or more")
     goal = score(objective, limits.loads)
@@ -303,11 +293,9 @@ def trade_off(
     limits: Limits,
     done: Callable[[], None] = lambda: None,
 ) -> list[Design]:
-    """Return designs between the best one for an objective and the one of the least condition number.
-
-    The condition number has a ceiling (TRADE_OFF_STEPS of the way from best to least, as a penalty). Each optimum is
-    the start of the next: downwards from best and others, upwards from least. Raises as search() does.
-    """
+    """Return designs between the best one for an objective and the one of the least condition number. The condition
+    number has a ceiling (TRADE_OFF_STEPS of the way from best to least, as a penalty). Each optimum is the start of the
+    next: downwards from best and others, upwards from least. Raises as search() does."""
     goal, condition = score(objective, limits.loads), score("condition", limits.loads)
     begins = [(problem_of(design, limits), design) for design in (best, *others, least)]
     highest, lowest = (

@@ -26,10 +26,8 @@ from tipforce_lab.design.tables import MICRO, MM, Record, Section
 
 
 def condition_against_shift(geometry: Geometry, gauges: Layout, shifts_m: npt.ArrayLike) -> FloatArray:
-    """Return the condition numbers (n + 1, m): each gauge shifted alone, and in the last row all together.
-
-    shifts_m: (m,), inward along the beams. Raises InputError for an unusable layout or a shift off the beam.
-    """
+    """Return the condition numbers (n + 1, m): each gauge shifted alone, and in the last row all together. shifts_m:
+    (m,), inward along the beams. Raises InputError for an unusable layout or a shift off the beam."""
     n, shifts = len(layout(gauges)), np.asarray(shifts_m, dtype=np.float64)
     moving = np.vstack((np.eye(n), np.ones((1, n))))
     result: FloatArray = np.linalg.cond(shifted_matrix(geometry, gauges, moving[:, np.newaxis] * shifts[:, np.newaxis]))
@@ -53,8 +51,7 @@ def shift_to_reach(
     geometry: Geometry, gauges: Layout, condition: float, moving: tuple[str, ...], others_m: float = 0.0
 ) -> float:
     """Return the smallest inward shift of the gauges at `moving`, the others others_m off their points, that gives the
-    layout a condition number; NaN if none up to 5 mm does. Raises InputError for a point that is not in the layout.
-    """
+    layout a condition number; NaN if none up to 5 mm does. Raises InputError for a point that is not in the layout."""
     points = layout(gauges)
     for point in moving:
         if point not in points:
@@ -89,8 +86,7 @@ def simulate_groove_errors(
 
     Each repeat fits V = A F by least squares to noisy readings in the grooves between 0 and 90 degrees, as section
     4.3 does, inverts A, then reads every groove once more. noise_strain: standard deviation per reading of the three
-    gauges.
-    """
+    gauges."""
     A = strain_matrix(geometry, gauges)
     rng, P_newtons, grooves = np.random.default_rng(seed), CALIBRATION_WEIGHT_NEWTONS, paper_grooves()
     F = force_vector(P_newtons, grooves.phi_rad, grooves.theta_rad)

@@ -1,8 +1,5 @@
 """Tables 1, 2 and 3 of the paper, recomputed: coefficients, largest stresses and places, condition numbers by unit.
-
-Tension is positive everywhere, except in table_1(), which keeps the paper's signs. Angles are in degrees here, because
-the tables print degrees.
-"""
+Tension is positive, except in table_1(), which keeps the paper's signs; angles are in degrees, as the tables print."""
 
 from __future__ import annotations
 
@@ -109,10 +106,8 @@ def table_1(geometry: Geometry) -> list[Table1Row]:
 
 
 def maximum_over_contacts(g: tuple[float, float, float]) -> Maximum:
-    """Return the largest reading over theta in [0, 180] and all phi, in closed form.
-
-    The squared amplitude over phi, g1^2 + g2^2 + g3^2 + 2 g2 (g1 cos(theta) - g3 sin(theta)), is a cosine of theta.
-    """
+    """Return the largest reading over theta in [0, 180] and all phi, in closed form. The squared amplitude over phi,
+    g1^2 + g2^2 + g3^2 + 2 g2 (g1 cos(theta) - g3 sin(theta)), is a cosine of theta."""
     g1, g2, g3 = g
     if g2 == 0.0 or hypot(g1, g3) < 1e-12 * abs(g2):
         value = abs(g2) if g2 != 0.0 else hypot(g1, g3)
@@ -156,10 +151,8 @@ def table_3(geometry: Geometry, gauges: Layout) -> Table3Row:
 
 
 def condition_numbers_by_unit(geometry: Geometry, gauges: Layout) -> dict[str, float]:
-    """Return the condition number with F2 as the force M / r (the paper's), and with the moment in N mm and N m.
-
-    Raises InputError for an unusable layout.
-    """
+    """Return the condition number with F2 as the force M / r (the paper's), and with the moment in N mm and N m. Raises
+    InputError for an unusable layout."""
     return {unit: condition_at_length(geometry, gauges, u) for unit, u in moment_units(geometry).items()}
 
 
@@ -186,12 +179,9 @@ def figures(matrix: FloatArray) -> Record:
 
 
 def ranked_layouts(geometry: Geometry, by: str = "condition") -> list[Record]:
-    """Return the 28 mirrored pairs of layouts of three points, which share every figure, best first.
-
-    Keys: case (I, II, III, or empty), gauges, mirror, and what ``by`` may be: condition, thin (its limit), that with
-    every row scaled to unit length, newtons of noise per microstrain; infinite if a layout cannot separate the
-    three forces.
-    """
+    """Return the 28 mirrored pairs of layouts of three points, which share every figure, best first. Keys: case (I, II,
+    III, or empty), gauges, mirror, and what ``by`` may be: condition, thin (its limit), that with every row scaled to
+    unit length, newtons of noise per microstrain; infinite if a layout cannot separate the three forces."""
     names = {frozenset(LAYOUTS[name]): name.rstrip("'") for name in LAYOUTS}
     by_mirror: dict[frozenset[frozenset[str]], Record] = {}
     for chosen in itertools.combinations(POINTS, 3):
@@ -228,10 +218,8 @@ class RoundingRange(NamedTuple):
 
 
 def rounding_range(matrix: npt.ArrayLike) -> RoundingRange:
-    """Return the range of condition numbers over all matrices (3, 3) whose entries round to the given ones.
-
-    Of the 512 corners of the box of entries, which is small: curvature adds under 1e-4.
-    """
+    """Return the range of condition numbers over all matrices (3, 3) whose entries round to the given ones. Of the 512
+    corners of the box of entries, which is small: curvature adds under 1e-4."""
     centre = np.asarray(matrix, dtype=np.float64)
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=centre.size))).reshape(-1, *centre.shape)
     conditions = np.linalg.cond(centre + HALF_DIGIT * signs)
@@ -239,10 +227,8 @@ def rounding_range(matrix: npt.ArrayLike) -> RoundingRange:
 
 
 def shared_gauge_disagreement() -> dict[str, float]:
-    """Return per gauge of several cases the difference of its rows, relative to the longest of them.
-
-    The same gauge on the same body must have one row; the largest entry of the difference counts.
-    """
+    """Return per gauge of several cases the difference of its rows, relative to the longest of them. The same gauge on
+    the same body must have one row; the largest entry of the difference counts."""
     rows = {
         case: dict(zip(LAYOUTS[case], np.linalg.inv(np.array(MEASURED_MATRICES[case])), strict=True)) for case in CASES
     }
@@ -257,8 +243,7 @@ def nearest_common_shifts(
     geometry: Geometry, conditions: dict[str, float], steps: int = 25
 ) -> tuple[dict[str, float], float]:
     """Return (metres inward of K, S, L, R, U, one set for all three cases, that best fit the condition numbers; the
-    largest miss), of every combination of `steps` shifts from 0 to 6 mm.
-    """
+    largest miss), of every combination of `steps` shifts from 0 to 6 mm."""
     grid = np.linspace(0.0, 6e-3, steps)
     points = ("K_H", "S_H", "L", "R", "U")
     rows = strain.shifted_matrix(geometry, points, np.repeat(grid[:, np.newaxis], len(points), axis=1))
@@ -267,11 +252,9 @@ def nearest_common_shifts(
 
 
 def nearest_common(rows: Mapping[str, FloatArray], conditions: Mapping[str, float]) -> tuple[dict[str, int], float]:
-    """Return (index of the place of each gauge, largest miss) that best fit the condition numbers of the cases.
-
-    rows: strain per newton (m, 3) of K, S, L, R, U at m places each. Case I holds K, S and U, case II L, S and U, case
-    III L, R and U, so K and R can be chosen last, each alone.
-    """
+    """Return (index of the place of each gauge, largest miss) that best fit the condition numbers of the cases. rows:
+    strain per newton (m, 3) of K, S, L, R, U at m places each. Case I holds K, S and U, case II L, S and U, case III L,
+    R and U, so K and R can be chosen last, each alone."""
     missed = {}
     for case in CASES:
         first, second, third = (rows[point] for point in LAYOUTS[case])

@@ -1,11 +1,8 @@
 """Impact of a body on the tip, or of the finger on a stop: contact force, contact times, and the gauges' readings.
-
 Linear contact: exact, each phase a linear system (switched.py). Hertzian contact: scipy's DOP853 in contact, matrix
-exponentials in free flight. Contact starts at time 0, may open and close again, and is lossless.
-
-States: omega q and q' of every mode (mass-normalised), overlap and speed of the body, the load and its rate, and a
-constant, scaled so that energy is half the sum of their squares: without damping and load the matrix is skew-symmetric.
-"""
+exponentials in free flight. Contact starts at time 0, may open and close again, and is lossless. States: omega q and q'
+of every mode (mass-normalised), overlap and speed of the body, the load and its rate, and a constant, scaled so that
+energy is half the sum of their squares: without damping and load the matrix is skew-symmetric."""
 
 from __future__ import annotations
 
@@ -145,11 +142,9 @@ class Impact(NamedTuple):
 def impact(
     modes: Modes | None, striker: Striker, until_s: float, times_s: npt.ArrayLike = (), slit: SlitStop | None = None
 ) -> Impact:
-    """Return the course of an impact that starts at 0, structure at rest.
-
-    modes: None is rigid ground. times_s: (m,) rising, from 0 to until_s. Raises InputError for times out of range, too
-    many steps, a Hertzian contact with a slit; EnvironmentLackError for a Hertzian contact without scipy.
-    """
+    """Return the course of an impact that starts at 0, structure at rest. modes: None is rigid ground. times_s: (m,)
+    rising, from 0 to until_s. Raises InputError for times out of range, too many steps, a Hertzian contact with a slit;
+    EnvironmentLackError for a Hertzian contact without scipy."""
     t = floats("times_s", times_s).reshape(-1)
     if not 0.0 < until_s < math.inf:
         raise InputError(f"until_s = {until_s!r}: allowed is a positive finite number")
@@ -173,9 +168,7 @@ def impact(
 
 def overload(modes: Modes, slit: SlitStop, times_s: npt.ArrayLike, loads_newtons: npt.ArrayLike) -> Impact:
     """Return the response of a structure with a stop to a load that is linear between its samples, (m,) and (m, 3).
-
-    Raises InputError for times that do not rise strictly, shapes that do not fit, or loads that are not finite.
-    """
+    Raises InputError for times that do not rise strictly, shapes that do not fit, or loads that are not finite."""
     t, F = floats("times_s", times_s), checked_loads(loads_newtons)
     if t.shape != (len(F),) or not (np.diff(t) > 0.0).all() or not np.isfinite(t).all():
         raise InputError(f"times of shape {t.shape}: allowed are {len(F)} finite numbers that rise strictly")

@@ -1,9 +1,7 @@
 """Integrators of other kinds, for comparison only: all other modules use first_order_hold.py; and the error of none.
-
 All have the same problem, load and times, and return the elastic force (m, 3) at the times (m,). None uses the
 linearity between events; a contact is a force that is 0 while open. Values that grow without bound are returned as
-infinite or NaN: an unstable run is a valid result. closed_form() is their reference.
-"""
+infinite or NaN: an unstable run is a valid result. closed_form() is their reference."""
 
 from __future__ import annotations
 
@@ -61,9 +59,8 @@ def no_load(time_s: float) -> FloatArray:
 
 
 def runge_kutta_4(problem: Problem, load: Load, times_s: npt.ArrayLike) -> FloatArray:
-    """Integrate by the classic method, order 4, one step from each time to the next. Stable without damping up to
-    omega h = 2 sqrt(2); see rk4_stability_limit().
-    """
+    """Integrate by the classic method, order 4, one step from each time to the next. Stable without damping up to omega
+    h = 2 sqrt(2); see rk4_stability_limit()."""
     t = _times(times_s)
     X, elastic = problem.start, [problem.output @ problem.start]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -85,8 +82,7 @@ def newmark(problem: Problem, load: Load, times_s: npt.ArrayLike) -> FloatArray:
 
 def generalised_alpha(problem: Problem, load: Load, times_s: npt.ArrayLike, rho_inf: float = 0.8) -> FloatArray:
     """Integrate as Chung and Hulbert (1993): order 2, stable at any step; rho_inf, 0 to 1, is the factor per step of a
-    mode that is far too fast for it.
-    """
+    mode that is far too fast for it."""
     return _alpha(problem, load, times_s, (2.0 * rho_inf - 1.0) / (rho_inf + 1.0), rho_inf / (rho_inf + 1.0))
 
 
@@ -112,9 +108,7 @@ def scipy_method(problem: Problem, load: Load, times_s: npt.ArrayLike, method: s
 
 def rk4_stability_limit(damping_ratio: float) -> float:
     """Return the largest omega h at which RK4 does not amplify a mode: |R(z)| = 1 for its stability polynomial R.
-
-    Undamped 2 sqrt(2). Raises InputError for a damping ratio outside 0 to 1e6.
-    """
+    Undamped 2 sqrt(2). Raises InputError for a damping ratio outside 0 to 1e6."""
     if not 0.0 <= damping_ratio <= HIGHEST_DAMPING_RATIO:
         raise InputError(f"damping_ratio = {damping_ratio!r}: allowed is 0 to {HIGHEST_DAMPING_RATIO:g}")
     zeta = complex(damping_ratio)
@@ -248,10 +242,8 @@ def quasi_static_error(modes: Modes, frequency_hz: npt.ArrayLike) -> FloatArray:
 
 
 def frequency_of_error(modes: Modes, error: float) -> float:
-    """Return the lowest frequency in Hz at which quasi_static_error() reaches ``error``, by bisection.
-
-    Raises InputError unless 0 < error <= 0.5: a larger one is near resonance.
-    """
+    """Return the lowest frequency in Hz at which quasi_static_error() reaches ``error``, by bisection. Raises
+    InputError unless 0 < error <= 0.5: a larger one is near resonance."""
     if not 0.0 < error <= 0.5:
         raise InputError(f"error = {error!r}: allowed is above 0, at most 0.5")
     low, high = 0.0, 0.9 * float(modes.frequency_hz[0])

@@ -2,17 +2,15 @@
 
     X' = A X + sum_j push_j N_j,    N >= 0,    closure - compliance N <= 0 where N = 0, = 0 where N > 0
 
-closure_j = closure_row_j X is the overlap of contact j without contact forces. For every set of closed contacts this is
-one linear system, whose state after any time is a matrix exponential. An event is the closing of a contact, or the end
-of the pressure of a closed one. Steps are short relative to the fastest oscillation and to the time since the last
-disturbance (a fast decay matters only then), and turning points between steps are checked, so that a graze is found.
+closure_j = closure_row_j X is the overlap of contact j without contact forces. For every set of closed contacts the
+state after any time is a matrix exponential. An event is a closing, or the end of the pressure of a closed contact.
+Steps are short relative to the fastest oscillation and to the time since the last disturbance (a fast decay matters
+only then), and turning points between steps are checked, so that a graze is found.
 
-The slit between tip and horizontal beam (its place: plane_frame.py) as a stop: an overload closes it, and the
-structure is stiffer from there. How far it has closed is a cubic along each arm. The stop has as many contact points on
-each arm as bring the load of first contact, in every direction, within two per cent of the true one. The tip is rigid;
-the arm yields where it is pressed, as a beam with held ends. The force between tip and arm is an inner one: fixture and
-vertical beam feel the applied force alone, the gauges of the arms do not.
-"""
+The slit (plane_frame.py) as a stop: an overload closes it, and the structure is stiffer from there. How far it has
+closed is a cubic along each arm; the stop has as many contact points there as bring the load of first contact, in every
+direction, within two per cent of the true one. The arm yields where it is pressed, as a beam with held ends. The force
+between tip and arm is an inner one: fixture and vertical beam feel the applied force alone."""
 
 from __future__ import annotations
 
@@ -108,9 +106,7 @@ class March:
         return self._regime().forces @ self.state
 
     def advance(self, until_s: float, stop_at_event: bool = False) -> bool:
-        """Run to ``until_s``; return True if an event stopped it before. Raises InputError for a run of over 2 million
-        steps.
-        """
+        """Run to ``until_s``; return True if an event stopped it before. Raises InputError beyond 2 million steps."""
         while self.time_s < until_s:
             regime = self._regime()
             wanted = min(0.3 * (self.time_s - self._disturbed_s), regime.coarsest_s) / regime.finest_s
@@ -156,7 +152,6 @@ class March:
         return tuple(sorted([*self.touches, *self._begun.values()], key=lambda touch: touch.begin_s))
 
     def _regime(self) -> _Regime:
-        """Return the linear system of the contacts that are closed now."""
         if self._closed in self._regimes:
             return self._regimes[self._closed]
         system, closed = self.system, list(self._closed)

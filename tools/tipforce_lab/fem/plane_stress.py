@@ -1,10 +1,6 @@
 """Plane elasticity of the body with scikit-fem: P2 triangles, one sparse factorisation for three loads; and what gauges
-on the beams' faces read of it: the difference of displacement between a gauge's ends over its length.
-
-Young's modulus and the width are 1 inside; strain and displacement are divided by both at the end. A glued gauge
-averages the strain along its grid. Next to a re-entrant corner strain is infinite at a point, its average over a length
-is not.
-"""
+read of it: the difference of displacement between a gauge's ends over its length, finite also next to a re-entrant
+corner, where strain is infinite. Young's modulus and the width are 1 inside, and divided by at the end."""
 
 from __future__ import annotations
 
@@ -80,10 +76,8 @@ class Solution:
 
 
 def solve(model: Model) -> Solution:
-    """Mesh, assemble, factorise once, solve for three loads.
-
-    Raises InputError if the patch contains no side of the mesh, EnvironmentLackError without scikit-fem.
-    """
+    """Mesh, assemble, factorise once, solve for three loads. Raises InputError if the patch contains no side of the
+    mesh, EnvironmentLackError without scikit-fem."""
     try:
         from scipy.sparse.linalg import splu
         from skfem import Basis, ElementTriP2, ElementVector, MeshTri
@@ -226,10 +220,8 @@ def face(solution: Solution, gauge: GaugePosition) -> Face:
 
 def strain_matrix(solution: Solution, gauges: Sequence[Gauge], gauge_length_m: float = GAUGE_LENGTH_M) -> FloatArray:
     """Return the strain per newton of F, shape (n, 3), tension positive, averaged over the length of each gauge.
-
     gauges: positions of their middles, or points of Table 1, replaced by nearest_place(). At a point (length 0) strain
-    converges away from corners only. Raises InputError for a gauge that reaches beyond its face.
-    """
+    converges away from corners only. Raises InputError for a gauge that reaches beyond its face."""
     if not 0.0 <= gauge_length_m < np.inf:
         raise InputError(f"gauge_length_m = {gauge_length_m!r}: allowed is 0 (a point) or more, finite")
     rows = [_row(solution, gauge, gauge_length_m) for gauge in gauges]
@@ -238,10 +230,8 @@ def strain_matrix(solution: Solution, gauges: Sequence[Gauge], gauge_length_m: f
 
 def nearest_place(outline: Outline, point: str, gauge_length_m: float = GAUGE_LENGTH_M) -> GaugePosition:
     """Return the nearest position of a gauge to a point of Table 1: half its length from the end of the beam, from the
-    side of the joint (which has no width in Table 1), from the leg at L and R, or from the fillet there.
-
-    Raises InputError for an unknown point.
-    """
+    side of the joint (which has no width in Table 1), from the leg at L and R, or from the fillet there. Raises
+    InputError for an unknown point."""
     spot, g = place(outline.geometry, point), outline.geometry
     fillet = outline.fillet_m
     if point in ("L", "R"):
@@ -324,10 +314,8 @@ def extrapolate(values: Sequence[float]) -> Limit:
 
 
 def extrapolate_matrix(values: Sequence[FloatArray]) -> tuple[FloatArray, float]:
-    """Return the limit of the last three matrices, n, 2 n, 4 n, and its error, relative in the Frobenius norm.
-
-    One ratio for all entries: entry by entry it would divide by differences that are only rounding.
-    """
+    """Return the limit of the last three matrices, n, 2 n, 4 n, and its error, relative in the Frobenius norm. One
+    ratio for all entries: entry by entry it would divide by differences that are only rounding."""
     coarse, middle, fine = values[-3:]
     ratio = float(np.linalg.norm(middle - coarse) / np.linalg.norm(fine - middle))
     change = (fine - middle) / max(min(ratio, 2.0**MOST_ORDER) - 1.0, 1.0)
@@ -336,10 +324,8 @@ def extrapolate_matrix(values: Sequence[FloatArray]) -> tuple[FloatArray, float]
 
 def corner_exponent(material_angle_rad: float, mode: str) -> float:
     """Return lambda, displacement ~ r^lambda, of a corner with free faces (Williams 1952); 270 degrees: 0.5445, 0.9085.
-
     The smallest root above 1/2 of sin(lambda w) + s lambda sin(w) = 0, s = 1 (opening) or -1 (sliding), w the angle of
-    material. Raises InputError for an unknown mode, or an angle at which it is not singular.
-    """
+    material. Raises InputError for an unknown mode, or an angle at which it is not singular."""
     from scipy.optimize import brentq
 
     if mode not in MODES:

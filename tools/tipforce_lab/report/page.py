@@ -27,10 +27,8 @@ if TYPE_CHECKING:
 
 
 def write(report: Report, directory: Path, json_line: Callable[[dict[str, Any]], str]) -> list[Path]:
-    """Write index.html, report.jsonl and a KEY.svg for each study. Raises InputError, WriteError.
-
-    json_line: from a record to its line of report.jsonl, without the newline.
-    """
+    """Write index.html, report.jsonl and a KEY.svg for each study. Raises InputError, WriteError. json_line: from a
+    record to its line of report.jsonl, without the newline."""
     items: list[Item] = [*report.studies, *report.grids, *report.cases, *report.left_out]
     records = [text.head_record(report) | text.conclusions(report), *map(text.record, items)]
     lines = "".join(json_line(record) + "\n" for record in records)
@@ -147,7 +145,6 @@ def _study(study: Study) -> str:
 
 
 def _cases(cases: list[Case]) -> list[str]:
-    """Return one table per area, folded unless a claim of it does not hold."""
     areas: dict[str, list[Case]] = {}
     for case in cases:
         areas.setdefault(case.key.split(".")[0], []).append(case)
@@ -162,7 +159,6 @@ def _cases(cases: list[Case]) -> list[str]:
 
 
 def _table(name: str, table: text.Table, row_ids: str | None = None) -> str:
-    """Return a table that scrolls sideways; ``row_ids`` begins the identifier that each row has from its heading."""
     classes = {head: ' class="number"' if kind in text.NUMBERS else "" for head, kind in table.heads.items()}
     head = "".join(f'<th scope="col"{kind}>{escape(title)}</th>' for title, kind in classes.items())
     rows = []

@@ -70,9 +70,7 @@ Selection = tuple[list[str], list[Case]]
 
 def selected(only: str | None) -> Selection:
     """``only``: study keys, "stability", case keys, areas of cases and patterns of them, with commas; None for all.
-
-    Raises InputError for an unknown word.
-    """
+    Raises InputError for an unknown word."""
     known = all_cases()
     if only is None:
         return list(STUDIES), known

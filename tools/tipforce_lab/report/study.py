@@ -25,8 +25,7 @@ class Effort:
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Seconds per unit of work: the median of several runs; the first and third quartile are of the processor time
-    where it is known."""
+    """Seconds per unit of work: median, and first and third quartile (of the processor time where it is known)."""
 
     seconds: float
     first_quartile_s: float
@@ -130,9 +129,7 @@ def timed_together(
     warm: bool = False,
 ) -> list[Timing]:
     """Time several methods: each run calls all of them in turn, so that a change of the machine's load meets all alike.
-
-    One call of each goes first, untimed, unless the works are ``warm``; a run repeats a call for ``at_least_s``.
-    """
+    One call of each goes first, untimed, unless the works are ``warm``; a run repeats a call for ``at_least_s``."""
     repeats = []
     for work in works:
         if not warm:

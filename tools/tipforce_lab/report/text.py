@@ -180,7 +180,6 @@ def print_report(console: Console, report: Report) -> None:
 
 
 def _print_table(console: Console, table: Table, **options: Any) -> None:
-    """Print an empty line and a table."""
     from rich.table import Table as Printed
     from rich.text import Text
 

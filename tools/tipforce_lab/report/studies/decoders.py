@@ -67,10 +67,8 @@ def _frames(rng: np.random.Generator, count: int) -> list[bytes]:
 
 
 def judge(rows: Rows, data: list[bytes], message: Message) -> tuple[float, int]:
-    """Return the largest error in steps of the resolution, and the number of unknown values decoded as numbers.
-
-    The right value is raw / divisor as a fraction, the definition of the resolution of 0.001 N and 0.01 degree.
-    """
+    """Return the largest error in steps of the resolution, and the number of unknown values decoded as numbers. The
+    right value is raw / divisor as a fraction, the definition of the resolution of 0.001 N and 0.01 degree."""
     divisors = [round(1 / signal.scale) for signal in message.signals[: len(MEASURED)]]
     worst, shown = Fraction(0), 0
     for row, frame in zip(rows, data, strict=True):
@@ -100,12 +98,10 @@ def others(message: Message) -> dict[str, Decode]:
 
 
 def _bits(message: Message) -> list[tuple[str, int]]:
-    """Return name and mask of each flag of the status byte."""
     return [(signal.name, 1 << signal.start_bit - 48) for signal in message.signals if signal.bits == 1]
 
 
 def _by_hand(message: Message) -> Decode:
-    """Return a decoder written with struct for the known layout."""
     flags, layout = _bits(message), struct.Struct("<hhhBB")
 
     def decode(data: bytes) -> dict[str, Any]:

@@ -1,9 +1,6 @@
-"""Methods to compute P and theta from counts: each prepared once, then timed as a function without arguments.
-
-In integers, as on a microcontroller without a floating-point unit: int64 arrays represent the registers, the sum in a
-narrower register wraps as in hardware, and angles are binary, 2^32 per turn. In MicroPython: its WebAssembly build
-under Node.js, if both are installed.
-"""
+"""Methods to compute P and theta from counts: each prepared once, then timed as a function without arguments. In
+integers: int64 arrays for a microcontroller's registers, a narrower sum wraps as in hardware, angles are binary, 2^32
+per turn. In MicroPython: its WebAssembly build under Node.js, if both are installed."""
 
 from __future__ import annotations
 
@@ -70,10 +67,8 @@ process.stdout.write(lines.map((line) => line + "\\n").join(""));
 
 
 def run_micropython(files: Mapping[str, str], calls: Sequence[str]) -> list[str]:
-    """Run ``calls`` in sequence with ``files`` in the root of the file system; return the lines printed.
-
-    Raises EnvironmentLackError if Node.js or MicroPython is missing, or the code fails.
-    """
+    """Run ``calls`` in sequence with ``files`` in the root of the file system; return the lines printed. Raises
+    EnvironmentLackError if Node.js or MicroPython is missing, or the code fails."""
     node = shutil.which("node")
     if node is None:
         raise EnvironmentLackError("Node.js, which runs MicroPython here, is not installed (apt: nodejs)")
@@ -195,10 +190,8 @@ def bulk_float64(given: Contacts) -> Method:
 
 
 def single_precision(factored: bool, given: Contacts) -> Method:
-    """Return the bare formula in float32, without scaling and checks.
-
-    factored: c^2 = (L - |F2|)(L + |F2|) + S^2, L and S the larger and smaller of |F1|, |F3|; else P^2 - F2^2.
-    """
+    """Return the bare formula in float32, without scaling and checks. factored: c^2 = (L - |F2|)(L + |F2|) + S^2, L and
+    S the larger and smaller of |F1|, |F3|; else P^2 - F2^2."""
     real = np.float32
     C = given.C.T.astype(real)
     counts = given.counts.astype(real)

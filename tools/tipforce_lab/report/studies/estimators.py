@@ -1,7 +1,5 @@
-"""Arithmetic of the estimator: counts to F = C V, then P and theta, in floating point, in integers, on MicroPython.
-
-The reference: random contacts as counts of a 24-bit converter, and the exact P and theta of these counts.
-"""
+"""Arithmetic of the estimator: counts to F = C V, then P and theta, in floating point, in integers, on MicroPython. The
+reference: random contacts as counts of a 24-bit converter, and the exact P and theta of these counts."""
 
 from __future__ import annotations
 
@@ -100,10 +98,8 @@ def _run(
     advance: Callable[[], None],
     known: dict[_Setting, _Result] | None = None,
 ) -> dict[_Setting, _Result]:
-    """Run all methods on these contacts: timed, or with the times of ``known``, whose work is the same.
-
-    A method that does not run is entered in left_out with the reason, and not tried again.
-    """
+    """Run all methods on these contacts: timed, or with the times of ``known``, whose work is the same. A method that
+    does not run is entered in left_out with the reason, and not tried again."""
     results: dict[_Setting, _Result] = {}
     for method, settings in _METHODS.items():
         for setting, prepare in settings.items():
@@ -155,7 +151,6 @@ def _remarks(
     force: dict[_Setting, float], angle: dict[_Setting, float], near: dict[_Setting, float], full_scale_newtons: float,
     results: dict[_Setting, _Result],
 ) -> tuple[list[str], list[str], list[str]]:  # fmt: skip
-    """Return what the largest errors of the three studies say."""
     double, single, naive = (FLOAT64, "float64 C"), (FLOAT32, "float32 C"), (NAIVE32, "float32 C")
     half_lsb = 2.0**-COUNT_BITS
     of_force = [
@@ -192,8 +187,7 @@ def contacts(rng: np.random.Generator, k: int, sliding: bool = False, corners: b
     """Return k pushes in any direction: half from a hundredth of the converter's range to all of it, half above 50 %.
 
     |cos(delta)| is at least 0.1, uniform, or if ``sliding`` 0.001 to 0.1, log-uniform: a nearly tangential force.
-    corners: also those with every gauge at an end of the converter's range.
-    """
+    corners: also those with every gauge at an end of the converter's range."""
     C, A = calibration_matrix(FABRICATED, CASE), strain_matrix(FABRICATED, CASE)
     phi = rng.uniform(-np.pi, np.pi, k)
     cosine = 10.0 ** rng.uniform(-3.0, -1.0, k) if sliding else rng.uniform(0.1, 1.0, k)

@@ -1,8 +1,6 @@
-"""Which way of showing a value says ok and is wrong: every fault that a scene can name, by number of gauges.
-
-Each simulated finger is calibrated by `tipforce calibrate fit`, and one scene per fault runs the node's code. Every
-method then reads the same log. A row is wrong if its P is off by more than five of its own standard uncertainties.
-"""
+"""Which way of showing a value says ok and is wrong, for every fault of a scene, by number of gauges. Each finger is
+calibrated by `tipforce calibrate fit`, one scene per fault runs the node's code, and every method reads the same log. A
+row is wrong if its P is off by more than five of its own standard uncertainties."""
 
 from __future__ import annotations
 
@@ -123,7 +121,6 @@ def _is_hidden(scene: schema.Scene, calibration: Calibration) -> bool:
 
 
 def _row(fault: str, gauges: int, counts: tuple[Counted, ...], hidden: bool = False) -> GridRow:
-    """``hidden``: all that is wrong has a fault of a gauge that is hidden, see ``_is_hidden``."""
     reasons, of_gauge = [], _HIDDEN if hidden and fault in KINDS else ""
     for method, count in zip(METHODS, counts, strict=True):
         known = NOT_TOLD.get((fault, method), "") or CANNOT_TELL.get((fault, gauges), "") or of_gauge

@@ -37,10 +37,8 @@ _Error = Callable[[FloatArray], float]
 
 
 def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
-    """Return two studies, of the condition numbers and of the strain matrix; they share models, runs and times.
-
-    Without scikit-fem there is no reference: both are returned without series, with the package to install.
-    """
+    """Return two studies, of the condition numbers and of the strain matrix; they share models, runs and times. Without
+    scikit-fem there is no reference: both are returned without series, with the package to install."""
     try:
         import scipy.sparse.linalg  # noqa: F401
         import skfem  # noqa: F401
