@@ -9,20 +9,12 @@ paper's::
     ]
     gauge_length_mm = 1.0
 
-    [geometry]    # all seven keys, in metres and Pa
-    a_m = 0.015
-    d_m = 0.015
-    r_m = 0.015
-    h1_m = 0.0004
-    h2_m = 0.000653
-    width_m = 0.01
-    youngs_modulus_pascals = 205e9
-
-beam: "H", the horizontal one, or "V", the vertical one. side: on H the arm at negative ("left") or positive x
-("right"), on V the face there. position_mm: the middle of the gauge, counted along the beam from the joint: on H from
-the middle of the body up to a, on V from the lower side of the horizontal beam up to d. face: on H "lower" (towards the
-fixture, the default) or "upper" (in the slit). gauge_length_mm documents the gauge of the design; it changes no number,
-because strain is linear along a beam. A [bridge] table (``BridgeTable``, docs/hardware.md) states the wiring to a real
+[geometry] has a_m, d_m, r_m, h1_m, h2_m, width_m and youngs_modulus_pascals, all seven, in metres and Pa. beam: "H",
+the horizontal one, or "V", the vertical one. side: on H the arm at negative ("left") or positive x ("right"), on V the
+face there. position_mm: the middle of the gauge, counted along the beam from the joint: on H from the middle of the
+body up to a, on V from the lower side of the horizontal beam up to d. face: on H "lower" (towards the fixture, the
+default) or "upper" (in the slit). gauge_length_mm documents the gauge of the design; it changes no number, because
+strain is linear along a beam. A [bridge] table (``BridgeTable``, docs/hardware.md) states the wiring to a real
 converter, for `tipforce node --source iio:...` alone. The scaling 6120h to 6123h follows from it and from the
 converter's scale: (raw + offset) * scale is the voltage at the converter in millivolts (Linux, sysfs-bus-iio), gauge
 factor * arms * excitation volts (``front_end.Bridge``) * gain per unit strain, on top of the voltage at no strain."""
