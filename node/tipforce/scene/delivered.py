@@ -56,8 +56,7 @@ def structure_calibration(
     offset_microstrain: Sequence[float] = (),
     **stated: Any,
 ) -> Calibration:
-    """Return the calibration of any gauges by beam theory; ``stated`` are other fields of Calibration. Raises
-    InputError for gauges that cannot separate the forces."""
+    """The calibration by beam theory; ``stated``: its other fields. Raises InputError for gauges without rank 3."""
     import numpy as np
 
     from tipforce.host.configuration.calibration import Calibration

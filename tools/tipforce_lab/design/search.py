@@ -195,8 +195,7 @@ def mixed(parts: Sequence[tuple[float, Score]]) -> Score:
 
 
 def improve(problem: Problem, goal: Score, x: FloatArray) -> tuple[float, FloatArray] | None:
-    """Return the local optimum near x as (score, point), or None if it violates a limit. Raises EnvironmentLackError if
-    scipy is missing."""
+    """Return the local optimum near x as (score, point), or None. Raises EnvironmentLackError without scipy."""
     try:
         from scipy.optimize import minimize
     except ImportError:

@@ -121,8 +121,7 @@ def write_file(path: str | Path, fields: Fields, calibration: object, crc32: int
 
 
 def _rows(fields: Fields) -> list[tuple[Field[Any], str, float]]:
-    """The fields of a file in its order (required ones, numbers, arrays, what no node holds), keys and units. Units are
-    those of the names: a number in a file is the value times the unit."""
+    """The fields in the order of a file (required, numbers, arrays, what no node holds), their keys, their units."""
 
     def rank(of: Field[Any]) -> int:
         required = of.type == "bool" or of.default is of.default_factory is MISSING

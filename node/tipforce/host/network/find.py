@@ -86,8 +86,7 @@ def find_nodes(
 
 
 def responding_nodes(connection: Bus) -> set[int]:
-    """Request 1000h from every node-id; return those that respond within FIND_S. The full time, even if each has
-    responded: a second node with the same id needs its time too."""
+    """Return the node-ids that answer a request of 1000h within FIND_S, all of it: a second node needs its time too."""
     _request_device_types(connection, range(1, codes.NODE_ID_MASK + 1))
     time.sleep(FIND_S)
     frames = connection.buffer.take_all()

@@ -46,8 +46,7 @@ class Nonlinearity:
     """True: s |s|, equal in tension and compression; False: s^2."""
     significant: bool
     model_uncertainty: float
-    """Relative standard uncertainty of the force that it makes at the largest load, pulls and pushes; 0 where not
-    significant."""
+    """Relative standard uncertainty of the force at the largest load, pulls and pushes; 0 where not significant."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -106,8 +106,7 @@ START_RESTLESS, SMALLEST_RESTLESS = 0.05, 1e-5
 STATED_WORTH = 6.0
 """The stated scatter of a groove counts as so many observed angles: a few grooves show little of their own."""
 START_HANG, HANG_WORTH = 0.1, 1.0
-"""Variance of the angle that is new in every row, in units of the stated one, before any data; it counts as so many
-observed angles."""
+"""Variance of a row's own angle, in units of the stated one, before any data; it counts as so many angles."""
 LARGEST_SCATTER = 100.0
 """Of both variances: ten times the stated angle is a fault and no scatter."""
 

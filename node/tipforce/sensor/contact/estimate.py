@@ -358,7 +358,6 @@ def curvature(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> FloatArr
 
 
 def first_order_holds(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> BoolArray:
-    """Return whether the standard uncertainties of P, phi, theta can be trusted, (..., 3): curvature() at most a limit.
-    False for unknown values. Raises InputError for other shapes."""
+    """Whether uncertainties of P, phi, theta can be trusted, (..., 3): curvature() within limits. Raises InputError."""
     with np.errstate(invalid="ignore"):
         return np.asarray(curvature(F_newtons, covariance_F) <= CURVATURE_LIMIT)

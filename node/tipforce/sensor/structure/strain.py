@@ -191,8 +191,7 @@ def thin_limit_matrix(gauges: Layout) -> FloatArray:
 
 
 def calibration_matrix(geometry: Geometry, gauges: Layout) -> FloatArray:
-    """Return C of equation (1), shape (3, n), newtons per unit strain: the pseudo-inverse of strain_matrix(). Raises
-    InputError for an unusable layout, and for one of rank below 3."""
+    """Return C of equation (1), (3, n), N per unit strain: pinv of strain_matrix(). Raises InputError below rank 3."""
     return pseudo_inverse(strain_matrix(geometry, gauges), layout(gauges))
 
 
@@ -220,8 +219,7 @@ def condition_number(matrix: npt.ArrayLike) -> float:
 
 
 def row_equilibrated_condition_number(matrix: npt.ArrayLike) -> float:
-    """Return the condition number of a strain matrix (n, 3) with rows of unit length; inf for a zero row. The figure
-    for gauges whose noise is the same fraction of their own range."""
+    """Return the condition number of rows of unit length (inf: a zero row): noise is a share of each range."""
     rows = floats("matrix", matrix)
     lengths = np.linalg.norm(rows, axis=1, keepdims=True)
     return condition_number(rows / lengths) if lengths.all() else float("inf")
