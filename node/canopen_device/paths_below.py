@@ -12,11 +12,9 @@ _MOST_BYTES = 255
 
 
 def below(folder: str | Path, name: str, place: str = "", links: bool = True) -> Path:
-    """Return the path of ``name``, as a file has it at ``place``, in ``folder``.
-
-    Raises InputError for an empty or absolute name, for one with ``..``, ``\\``, ``~`` in front, a control character
-    or a part of over 255 bytes, and where a link leads out of the folder; with ``links`` False for every link.
-    """
+    """Return the path of ``name``, as a file has it at ``place``, in ``folder``. Raises InputError for an empty or
+    absolute name, for one with ``..``, ``\\``, ``~`` in front, a control character or a part of over 255 bytes, and
+    where a link leads out of the folder; with ``links`` False for every link."""
     root = os.path.realpath(folder)
     shown = f"{place} = {name if len(name) <= 60 else name[:57] + '...'!r}: " if place else ""
     if not is_below(name):

@@ -10,8 +10,7 @@
     ''')
     assert talk.download(0x1017, 0, b"\\x64\\0") == 0       # any SDO transfer: 0 or the abort code
 
-Before each line that begins with ``>``, ``+`` or ``~``, and at the end, all that was sent must have been named.
-"""
+Before each line that begins with ``>``, ``+`` or ``~``, and at the end, all that was sent must have been named."""
 
 from __future__ import annotations
 
@@ -56,11 +55,9 @@ def parse(line: str) -> Frame:
 
 
 class Conversation:
-    """All frames to and from one device. ``sent`` holds the frames of the device that no line has named yet.
-
-    ``device`` is a ``Device``, or what has its ``node_id`` and ``step``. ``emcy`` False hides its EMCY messages:
-    "nothing else was sent" then speaks of all other services.
-    """
+    """All frames to and from one device. ``sent`` holds the frames of the device that no line has named yet. ``device``
+    is a ``Device``, or what has its ``node_id`` and ``step``. ``emcy`` False hides its EMCY messages: "nothing else was
+    sent" then speaks of all other services."""
 
     def __init__(self, device: Any, now_us: int = 0, emcy: bool = False) -> None:
         self.device = device
@@ -149,10 +146,8 @@ class Conversation:
         return transfer
 
     def upload(self, index: int, sub: int = 0, kind: type[Upload] = Upload, fault: Fault = intact) -> bytes | int:
-        """Return what an SDO upload reads, or the abort code; ``kind``: segmented, or a ``BlockUpload``.
-
-        ``fault`` changes responses. Raises AssertionError with the reason if the client gives up.
-        """
+        """Return what an SDO upload reads, or the abort code; ``kind``: segmented, or a ``BlockUpload``. ``fault``
+        changes responses. Raises AssertionError with the reason if the client gives up."""
         done = self.transfer(kind(index, sub, _TIMEOUT_US, _DEADLINE_US), response_fault=fault)
         assert done.failure is None, done.failure or "no response"
         return done.data if done.abort_code is None else done.abort_code
@@ -160,10 +155,7 @@ class Conversation:
     def download(
         self, index: int, sub: int, data: bytes, kind: type[Download] = Download, fault: Fault = intact
     ) -> int:
-        """Write by SDO: 0, or the abort code; ``kind``: segmented, or a ``BlockDownload``; ``fault`` changes requests.
-
-        Raises as ``upload``.
-        """
+        """Write by SDO: 0, or the abort code; arguments and errors as of ``upload``; ``fault`` changes requests."""
         done = self.transfer(kind(index, sub, _TIMEOUT_US, _DEADLINE_US, data), fault)
         assert done.failure is None, done.failure or "no response"
         return done.abort_code or 0

@@ -1,8 +1,5 @@
-"""Read TOML files as structs, strictly: each error names the place, the value, and what is allowed.
-
-All TOML files of users (scene, hand, calibration, configuration, layout, plan) are read by this one reader, so that
-errors have the same form.
-"""
+"""Read all TOML files of users (scene, hand, calibration, ...) as structs, strictly, with errors of one form: each
+names the place, the value, and what is allowed."""
 
 from __future__ import annotations
 
@@ -43,17 +40,12 @@ def read_table(path: str | Path, place: str) -> dict[str, Any]:
 
 
 def convert(kind: type[T], content: object, place: str, finite: bool = True) -> T:
-    """Return ``content`` (from tomllib) as ``kind``; ``place`` is its name in messages ("scenes/tap.toml").
-
-    A field may be a number, a string, a list of these, a table of free keys with such values, a struct, or a list of
-    structs (plain values may occur among them); if a list holds a union of structs, each with a tag, the key
-    ``kind`` selects one. A struct without ``forbid_unknown_fields`` ignores unknown keys, unless one resembles a
-    missing key. ``finite`` False leaves the check for non-finite numbers to the caller; for values of free keys
-    the caller always checks.
-
-    Raises InputError for an unknown key (with the nearest known one), a missing one, a wrong type, a value outside its
-    limits, and a number that is not finite.
-    """
+    """Return ``content`` (from tomllib) as ``kind``; ``place`` is its name in messages. A field may be a number, a
+    string, a list of these, a table of free keys with such values, a struct, or a list of structs (also among plain
+    values), of which the key ``kind`` selects one of a tagged union. A struct without ``forbid_unknown_fields`` ignores
+    unknown keys, unless one resembles a missing one. Raises InputError for an unknown key (with the nearest known one),
+    a missing one, a wrong type, a value outside its limits, and a number that is not finite; ``finite`` False leaves
+    that check, which values of free keys always need, to the caller."""
     if not isinstance(content, Mapping):
         raise InputError(f"{place} is {_shown(content)}: allowed is a table")
     fields = {field.encode_name: field for field in msgspec.structs.fields(kind)}
@@ -95,14 +87,12 @@ def _value(kind: Any, content: object, place: str, finite: bool) -> Any:
 
 
 def _structs(kind: Any) -> tuple[list[type[msgspec.Struct]], bool]:
-    """Return the structs in a field's type, and whether it holds many; none for a plain value."""
     if get_origin(kind) is tuple:
         return _structs(get_args(kind)[0])[0], True
     return [part for part in _options(kind) if isinstance(part, type) and issubclass(part, msgspec.Struct)], False
 
 
 def _options(kind: Any) -> tuple[Any, ...]:
-    """Return the members of a union; for another type, that type alone."""
     return get_args(kind) if get_origin(kind) in (typing.Union, types.UnionType) else (kind,)
 
 
@@ -140,7 +130,6 @@ def _finite(content: object) -> bool:
 
 
 def _choices(kind: Any) -> str:
-    """Return the allowed words, if there is a list of them."""
     if get_origin(kind) is typing.Literal:
         return f"; allowed: {', '.join(map(str, get_args(kind)))}"
     return next(filter(None, map(_choices, get_args(kind))), "")
@@ -152,7 +141,6 @@ def _suggestion(word: str, known: Mapping[str, object]) -> str:
 
 
 def _near(word: str, known: Iterable[str]) -> str:
-    """Return the nearest known word, empty if none is similar."""
     import difflib
 
     return next(iter(difflib.get_close_matches(word, known, 1)), "")

@@ -1,9 +1,6 @@
-"""The data types of the dictionary: codes, names, sizes, bytes and text (CiA 301, 7.4.7; CiA 309-3, data types).
-
-A type is named by a letter, as in ``table.py``: the letter that ``struct`` uses, "s" a VISIBLE_STRING,
-"o" an OCTET_STRING, "u" a UNICODE_STRING, "D" a DOMAIN, "t" TIME_OF_DAY and "T" TIME_DIFFERENCE, both as six bytes.
-Integers of 24 to 56 bits are "i3" to "i7" and "u3" to "u7". Everything is little-endian on the wire.
-"""
+"""The data types of the dictionary: codes, names, sizes, bytes and text (CiA 301, 7.4.7; CiA 309-3, data types). A type
+is named by a letter: that of ``struct``, "s" a VISIBLE_STRING, "o" an OCTET_STRING, "u" a UNICODE_STRING, "D" a DOMAIN,
+"t" TIME_OF_DAY and "T" TIME_DIFFERENCE (six bytes), "i3" to "i7" and "u3" to "u7" integers of 24 to 56 bits."""
 
 from __future__ import annotations
 
@@ -105,11 +102,9 @@ def encode(letter: str, value: Value) -> bytes:
 
 
 def decode(letter: str, data: bytes) -> Value:
-    """The value of bytes from the wire; unknown values (NaN, 0x8000) come back as they are.
-
-    Raises InputError where the length does not fit the type. Control characters in a text, and characters outside
-    ASCII in a VISIBLE_STRING, show as escapes: what a device sent is never a reason to fail.
-    """
+    """The value of bytes from the wire; unknown values (NaN, 0x8000) come back as they are. Raises InputError where the
+    length does not fit the type. Control characters in a text, and characters outside ASCII in a VISIBLE_STRING, show
+    as escapes: what a device sent is never a reason to fail."""
     kind = data_type(letter)
     if kind.size is not None:
         if len(data) != kind.size:
@@ -128,10 +123,8 @@ def decode(letter: str, data: bytes) -> Value:
 
 
 def parse_value(letter: str, text: str) -> Value:
-    """The value that a person wrote: ``10``, ``0x0A``, ``-1.5e-3``, ``nan``, a text, or hex bytes.
-
-    Raises InputError naming the text and what the type allows.
-    """
+    """The value that a person wrote: ``10``, ``0x0A``, ``-1.5e-3``, ``nan``, a text, or hex bytes. Raises InputError
+    naming the text and what the type allows."""
     kind = data_type(letter)
     stripped = text.strip()
     if kind.python is str:
@@ -150,10 +143,7 @@ def parse_value(letter: str, text: str) -> Value:
 
 
 def format_value(letter: str, value: Value) -> str:
-    """The text that ``parse_value`` reads back to the same bytes; REAL32 with as few digits as that takes.
-
-    Raises InputError where the value does not fit the type.
-    """
+    """The shortest text that ``parse_value`` reads back to the same bytes. Raises InputError outside of the type."""
     kind = data_type(letter)
     if kind.python is bytes:
         return encode(letter, value).hex(" ").upper()

@@ -13,10 +13,7 @@ _IN_LINES, _IN_A_LINE = re.compile(f"[{_HIDDEN}]"), re.compile(f"[\t\n{_HIDDEN}]
 
 
 def visible_lines(text: str) -> str:
-    """Return ``text`` with control characters, bidi controls and lone surrogates as escapes (``\\x1b``).
-
-    Tabs and newlines stay: they are layout.
-    """
+    """Return ``text`` with control and bidi characters and lone surrogates as escapes (``\\x1b``), but tab, newline."""
     return _IN_LINES.sub(_escape, text)
 
 

@@ -45,9 +45,7 @@ def check(right: object, expected: str, got: str) -> None:
 
 class Product(NamedTuple):
     """The devices that a caller's own cases are for: those whose 1018h:2 has this code under the mask.
-
-    ``write_only_index``: an object of these devices, sub-index 0, that can only be written.
-    """
+    ``write_only_index``: an object of these devices, sub-index 0, that can only be written."""
 
     name: str
     code: int
@@ -57,11 +55,9 @@ class Product(NamedTuple):
 
 @dataclass(frozen=True)
 class Case:
-    """One check. ``needs`` are the (index, sub-index) that must exist.
-
-    ``persistent``: stores parameters or temporarily changes the node-id. ``own``: for devices of the caller's Product
-    alone. ``error_frames``: needs the controller's error frames, which a bus does not carry.
-    """
+    """One check. ``needs`` are the (index, sub-index) that must exist. ``persistent``: stores parameters or temporarily
+    changes the node-id. ``own``: for devices of the caller's Product alone. ``error_frames``: needs the controller's
+    error frames, which a bus does not carry."""
 
     name: str
     clause: str
@@ -77,11 +73,8 @@ _HEADER = re.compile(r"(?:(?!tipforce )([a-z]\w*) )?((?:CiA \S+ |tipforce )?\S+)
 
 
 class Service:
-    """The cases of a service of the standard, in the module that declares them; ``own`` as in Case.
-
-    A case has the header "name clause: title"; a clause that is a number alone is of ``standard``. Cases of the same
-    name are numbered.
-    """
+    """The cases of a service of the standard, in the module that declares them; ``own`` as in Case. The header of a
+    case is "name clause: title"; a clause that is a number is of ``standard``. Cases of one name are numbered."""
 
     def __init__(self, name: str, own: bool = False, standard: str = "CiA 301") -> None:
         self.name = name
@@ -106,10 +99,8 @@ class Service:
         error_frames: bool = False,
     ) -> Callable[[Callable[..., object]], Callable[..., object]]:
         """Declare a case by its steps, called with the Dut in their order; without steps, by the decorated function.
-
-        With ``each`` one per row: arguments of the function after the Dut, and of clause and title. A header without
-        a name is named as the function, without the service.
-        """
+        With ``each`` one per row: arguments of the function after the Dut, and of clause and title. A header without a
+        name is named as the function, without the service."""
         match = _HEADER.fullmatch(header)
         if match is None:
             raise ValueError(f"{header!r}: the form of a case is 'name clause: title'")

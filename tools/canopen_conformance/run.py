@@ -57,10 +57,8 @@ def _lack(case: Case, dut: Dut, persistent: bool) -> str:
 
 
 def run_on(dut: Dut, cases: Iterable[Case], persistent: bool) -> Iterator[Result]:
-    """Run cases on one device in sequence, and leave it as after a reset.
-
-    Raises LostDeviceError if the device no longer boots after a failed case.
-    """
+    """Run cases on one device in sequence, and leave it as after a reset. Raises LostDeviceError if the device no
+    longer boots after a failed case."""
     try:
         for case in cases:
             result = run_case(case, dut, persistent)
@@ -87,10 +85,8 @@ def listing(cases: Iterable[Case]) -> str:
 def run_and_print(
     dut: Dut, cases: Sequence[Case], persistent: bool, as_json: bool, note: Callable[[str], None]
 ) -> bool:
-    """Run cases and print each result as it comes, in the end the counts; return whether no case failed.
-
-    ``as_json``: a JSON record a line, and the counts to ``note``. Raises LostDeviceError if the device does not boot.
-    """
+    """Run cases and print each result as it comes, in the end the counts; return whether no case failed. ``as_json``: a
+    JSON record a line, and the counts to ``note``. Raises LostDeviceError if the device does not boot."""
     counts: Counter[str] = Counter()
 
     def counted() -> Iterator[Result]:

@@ -1,7 +1,5 @@
 """The wire, stated for the suite alone: identifiers, commands, states and abort codes; raw frames; the two links.
-
-Independent of any device on purpose: a wrong number of a device must not pass its own test.
-"""
+Independent of any device on purpose: a wrong number of a device must not pass its own test."""
 
 from __future__ import annotations
 
@@ -94,9 +92,7 @@ class Core(Protocol):
 
 class CoreLink:
     """A device core whose clock advances only by waiting. ``steps`` keeps (now_us, frames in, frames out).
-
-    ``tolerance_ms`` is the permitted timing error.
-    """
+    ``tolerance_ms`` is the permitted timing error."""
 
     tolerance_ms = 0
     error_frames = True

@@ -1,7 +1,5 @@
-"""Numbers that CiA 301 and CiA 305 fix for any device, declared only here: COB-IDs, states, abort codes, flags.
-
-Module ``communication`` declares the indices of the communication area, ``emcy`` the EMCY error codes.
-"""
+"""Numbers that CiA 301 and CiA 305 fix for any device, declared only here: COB-IDs, states, abort codes, flags. Module
+``communication`` declares the indices of the communication area, ``emcy`` the EMCY error codes."""
 
 # COB-IDs of the services (7.3.5, tables 39 and 40); the node-id is added to a base.
 NMT_COB_ID, SYNC_COB_ID, TIME_COB_ID = 0x000, 0x080, 0x100

@@ -39,11 +39,9 @@ class Emcy(Timed):
         od.writers[communication.COB_ID_EMCY] = self._write_cob_id
 
     def reset(self, whole: bool) -> None:
-        """Discard queued messages and each active error whose monitor restarts with this reset.
-
-        The bus controller is not affected by any reset, the application not by a communication reset: errors that they
-        reported stay active. The history stays until power-off or until 0 is written to 1003h:0.
-        """
+        """Discard queued messages and each active error whose monitor restarts with this reset: not those of the
+        controller, after a communication reset also not the application's. The history stays until power-off or a 0 in
+        1003h:0."""
         lowest = CAN_OVERRUN if whole else 0
         self._active = {key: bits for key, bits in self._active.items() if lowest <= key[0] <= ERROR_PASSIVE}
         self._waiting: "list[bytes]" = []

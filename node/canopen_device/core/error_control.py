@@ -125,7 +125,6 @@ class HeartbeatConsumer(Timed):
         self.due_us = min(self._deadlines.values()) if self._deadlines else codes.NEVER_US
 
     def _entries(self) -> "list[tuple[int, int, int]]":
-        """Return (sub-index, node-id, milliseconds) of the entries of 1016h."""
         od, index = self._device.od, communication.CONSUMER_HEARTBEAT
         return [(sub,) + _split(od.integer(index, sub)) for sub in od.subs(index)[1:]]
 
@@ -145,5 +144,4 @@ class HeartbeatConsumer(Timed):
 
 
 def _split(word: int) -> "tuple[int, int]":
-    """Return (node-id, milliseconds) of an entry of 1016h."""
     return word >> 16 & 0xFF, word & 0xFFFF

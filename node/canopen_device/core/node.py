@@ -64,11 +64,8 @@ class Nmt:
 
 
 class Application:
-    """Functions of a device beyond CANopen. Every method may be overridden; this class does nothing.
-
-    ``live`` holds the indices of values that change on their own: ``refresh`` is called before one is uploaded.
-    ``expire`` is called at ``due_us``.
-    """
+    """Functions of a device beyond CANopen; every method may be overridden. ``live``: indices of values that change on
+    their own: ``refresh`` is called before one is uploaded. ``expire`` is called at ``due_us``."""
 
     live: "frozenset[int]" = frozenset()
     due_us = codes.NEVER_US
@@ -91,13 +88,10 @@ class Application:
 
 class Device:
     """One CANopen node. Call ``step`` with the received frames and the time; send the frames that it returns.
-
-    ``now_us`` is a count of microseconds that never wraps. If it goes back, the device continues from its last time,
-    and its own time stays ahead from then on. ``requests`` collects requests to the loop, (name, value, milliseconds);
-    the loop empties it: ("reset-node", 0, 0) and ("reset-communication", 0, 0) only report a reset that was done,
-    ("bit-rate", bit/s, delay) requests a switch of the bus (CiA 305, 6.4.4), ("bus-restart", 0, 0) requests a restart
-    of the controller after bus-off.
-    """
+    ``now_us`` never wraps; where it goes back, the device's own time stays ahead from then on. The loop empties
+    ``requests``, (name, value, milliseconds): ("reset-node", 0, 0) and ("reset-communication", 0, 0) report a reset
+    that was done, ("bit-rate", bit/s, delay) requests a switch of the bus (CiA 305, 6.4.4), ("bus-restart", 0, 0) a
+    restart after bus-off."""
 
     def __init__(
         self,
@@ -167,7 +161,6 @@ class Device:
         return sent, due_us - self._ahead_us
 
     def _expire(self, now_us: int) -> int:
-        """Run the services that are due; return the next due time of all."""
         application = self.application
         if application is not None and application.due_us <= now_us:
             application.expire(now_us)

@@ -27,13 +27,9 @@ REAL32_MAX = 3.4028234663852886e38
 
 
 def encode(kind: str, value: "Value") -> bytes:
-    """Return ``value`` as little-endian bytes; ``kind`` is struct's letter, "s" a string, "D" bytes.
-
-    Integers of 24 to 56 bits are "u3" to "u7" and "i3" to "i7": sign and number of bytes (``wide_types``).
-
-    Integers are limited to their type's range here because MicroPython's struct wraps where CPython's raises;
-    a float beyond REAL32 becomes an infinity with its sign.
-    """
+    """Return ``value`` as little-endian bytes; ``kind`` is struct's letter, "s" a string, "D" bytes, "u3" to "u7" and
+    "i3" to "i7" integers of 24 to 56 bits (``wide_types``). Integers are limited to their range here because
+    MicroPython's struct wraps where CPython's raises; a float beyond REAL32 becomes an infinity with its sign."""
     if kind == "D":
         return value  # type: ignore[return-value]
     if kind == "s":
@@ -72,17 +68,15 @@ def real32(value: float) -> float:
 
 
 class ObjectDictionary:
-    """Entries by index and sub-index, with their values.
+    """Entries by index and sub-index, with their values. A service that owns an object registers hooks for its index:
+    ``readers[index](sub)`` returns the value in place of the stored one; ``writers[index](sub, value)`` an abort code,
+    or 0 to accept and store it; ``sizes[index]`` is the only length of a DOMAIN or string; ``sinks[index](sub, size)``
+    returns an abort code, or what takes a long download in parts (``sdo_server.Sink``). ``views`` reads (index, sub)
+    and writes (index, sub, value) entries with the flag VIEW that have no hook: they hold no value.
 
-    A service that owns an object registers hooks for its index: ``readers[index](sub)`` returns the value in place
-    of the stored one; ``writers[index](sub, value)`` returns an abort code, or 0 to accept; an accepted value is
-    stored. ``sizes[index]`` is the only length that a DOMAIN or string object accepts. ``sinks[index](sub, size)``
-    returns an abort code, or what takes a long download in parts (``sdo_server.Sink``). ``dummies`` are the types that
-    an RPDO may map as placeholders (7.4.7.1). ``changed()`` is called after a write that changes the bytes of an entry
-    with the flag COUNTED; ``edited`` is set by a change of any setting but 1020h. ``packer(keys)`` returns a function
-    that packs a TPDO with this mapping, or None where it has no faster one. ``views`` reads (index, sub) and writes
-    (index, sub, value) the entries with the flag VIEW that have no hook of their own: they hold no value.
-    """
+    ``dummies`` are the types that an RPDO may map as placeholders (7.4.7.1). ``changed()`` is called after a write that
+    changes an entry with the flag COUNTED; ``edited`` is set by a change of any setting but 1020h. ``packer(keys)``
+    returns a function that packs a TPDO with this mapping, or None where it has no faster one."""
 
     def __init__(self, node_id: int) -> None:
         self.node_id = node_id

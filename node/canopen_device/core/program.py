@@ -1,7 +1,5 @@
-"""Program download (CiA 302-3): 1F50h data, 1F51h control, 1F56h identification, 1F57h flash status; program 1.
-
-A download goes into the slot that does not run. ``START`` starts what was downloaded: the node restarts with it.
-"""
+"""Program download (CiA 302-3): 1F50h data, 1F51h control, 1F56h identification, 1F57h flash status; program 1. A
+download goes into the slot that does not run. ``START`` starts what was downloaded: the node restarts with it."""
 
 from . import codes, communication
 

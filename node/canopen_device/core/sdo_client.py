@@ -22,12 +22,10 @@ class TransferError(Exception):
 
 
 class Transfer:
-    """One transfer with the default SDO server of a node; ``step`` starts it and leads it to its end.
-
-    At its end ``ended`` is True and exactly one applies: ``abort_code`` is that of the server; ``failure`` says why the
-    client aborted ("": no response); else it succeeded, and ``data`` holds what an upload has read. ``ignored`` is the
-    last frame that did not belong to this transfer. Such a frame restarts no time-out.
-    """
+    """One transfer with the default SDO server of a node; ``step`` starts it and leads it to its end. At its end
+    ``ended`` is True and exactly one applies: ``abort_code`` is that of the server; ``failure`` says why the client
+    aborted ("": no response); else it succeeded, and ``data`` holds what an upload has read. ``ignored`` is the last
+    frame that did not belong to this transfer. Such a frame restarts no time-out."""
 
     def __init__(self, index: int, sub: int, timeout_us: int, deadline_us: int) -> None:
         """``timeout_us`` is the time for each response; ``deadline_us`` is the latest end, on the clock of ``step``."""
@@ -82,7 +80,6 @@ class Transfer:
             self._due_us = min(now_us + self._timeout_us, self._deadline_us)
 
     def _receive(self, response: bytes) -> bool:
-        """Return whether the response belongs to this transfer."""
         if len(response) != 8:
             return self._ignore(response)
         if response[0] == _ABORT:
@@ -123,7 +120,6 @@ class Transfer:
         return response
 
     def _initiate(self, command: int, content: bytes, specifiers: "tuple[int, ...]") -> "Exchange":
-        """Send an initiate request; return the response about this object with one of ``specifiers``."""
         self._send(bytes((command,)) + self.place + content)
         return (yield from self._awaited(lambda r: r[1:4] == self.place and r[0] >> 5 in specifiers))
 
@@ -148,7 +144,6 @@ class Upload(Transfer):
         yield from self._uploaded(first)
 
     def _uploaded(self, first: bytes) -> "Conversation":
-        """Take the object from the initiate response, or from the segments that follow."""
         command = first[0]
         if command & 2:
             # Without a size the server leaves the number of bytes to the object's type.

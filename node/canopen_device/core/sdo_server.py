@@ -182,7 +182,6 @@ class SdoServer(Timed):
             self._block = BlockUpload(self, data, block_size, with_crc)
 
     def _may_download(self, size: "int | None") -> bool:
-        """Return whether ``size`` bytes (None: unknown) may be written; if not, abort at once."""
         self._size = size
         od, index, sub = self._device.od, self._index, self._sub
         abort = od.writable(index, sub, size)

@@ -1,8 +1,6 @@
-"""Store and restore of parameters (CiA 301, 7.5.2.13 and 7.5.2.14), objects 1010h and 1011h.
-
-The content of a group is one byte string: CRC-32, then records of index, sub-index, length and data. The caller
-provides the memory as ``save(group, data) -> bool`` and ``load(group) -> bytes | None``.
-"""
+"""Store and restore of parameters (CiA 301, 7.5.2.13 and 7.5.2.14), objects 1010h and 1011h. The content of a group is
+one byte string: CRC-32, then records of index, sub-index, length and data. The caller provides the memory as
+``save(group, data) -> bool`` and ``load(group) -> bytes | None``."""
 
 import binascii
 import struct
@@ -28,11 +26,9 @@ _RESTORED = b""  # stored after a restore: empty, so the defaults apply after th
 
 
 class Storage:
-    """Objects 1010h and 1011h. Without ``save`` and ``load`` every store is rejected with 06060000h.
-
-    Storing other content than boot-up would have loaded clears 1020h, in the store too, unless 1020h was written after
-    the last change of a setting (7.5.2.21).
-    """
+    """Objects 1010h and 1011h. Without ``save`` and ``load`` every store is rejected with 06060000h. Storing other
+    content than boot-up would have loaded clears 1020h, in the store too, unless 1020h was written after the last
+    change of a setting (7.5.2.21)."""
 
     def __init__(
         self,
@@ -169,7 +165,6 @@ def unpack_settings(od: "ObjectDictionary", first: int, last: int, data: "bytes 
 
 
 def _records(data: bytes) -> "Iterator[tuple[int, int, bytes, bytes]]":
-    """Yield (index, sub, head, content) of each complete record."""
     offset, size = 0, struct.calcsize(_HEAD)
     while offset + size <= len(data):
         head = data[offset : offset + size]
@@ -180,7 +175,6 @@ def _records(data: bytes) -> "Iterator[tuple[int, int, bytes, bytes]]":
 
 
 def _without_1020(name: str, data: bytes) -> bytes:
-    """The content of a group without its records of 1020h."""
     if name != _COMMUNICATION_NAME:
         return data
     return b"".join([h + c for index, _sub, h, c in _records(data) if index != communication.VERIFY_CONFIGURATION])

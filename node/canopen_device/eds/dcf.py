@@ -50,7 +50,6 @@ def dcf_text(described: Description, values: Mapping[tuple[int, int], Value]) ->
 
 
 def _list_objects(file: EdsFile, indices: Iterable[int]) -> None:
-    """Add objects to the list of optional objects, where the file has part."""
     section = file.sections.get("optionalobjects")
     if section is None:
         return
@@ -62,7 +61,6 @@ def _list_objects(file: EdsFile, indices: Iterable[int]) -> None:
 
 
 def _object_lines(described: Description, index: int, values: Mapping[tuple[int, int], Value]) -> list[str]:
-    """Return the sections of an object that the file does not have."""
     added = described.objects[index]
     lines = [f"[{index:04X}]", f"ParameterName={added.name}", f"ObjectType=0x{added.code:X}"]
     lines += [f"SubNumber={len(added.entries)}", ""]

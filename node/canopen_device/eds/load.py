@@ -39,14 +39,10 @@ class EdsWarning(UserWarning):
 def device_from_eds(
     path: str | os.PathLike[str], node_id: int | None = None, save: Save | None = None, load: Load | None = None
 ) -> Device:
-    """Return the CANopen device that an EDS, DCF, XDD or XDC describes, as node ``node_id`` (default: that of a DCF).
-
-    Step it, or pass it to a bus loop. A DCF's ParameterValues are the stored parameters with which the device starts.
-    ``save`` and ``load`` keep parameter groups, as ``FileStore`` does; without them 1010h and 1011h refuse.
-    Where the file leaves CiA 306 or contradicts itself, an ``EdsWarning`` names the line and how it is read.
-
-    Raises InputError for a file that cannot be read or is no EDS, and for a node-id outside 1 to 127 (255: none yet).
-    """
+    """Return the CANopen device that an EDS, DCF, XDD or XDC describes, as node ``node_id`` (default: that of a DCF). A
+    DCF's ParameterValues are its stored parameters at the start. ``save`` and ``load`` keep parameter groups, as
+    ``FileStore`` does; without them 1010h and 1011h refuse. An ``EdsWarning`` names each line that leaves CiA 306, and
+    how it is read. Raises InputError for a file that is no EDS, and a node-id outside 1 to 127 (255: none yet)."""
     description = read_eds(os.fspath(path), node_id)
     for text in description.warnings:
         warnings.warn(text, EdsWarning, stacklevel=2)
@@ -132,7 +128,6 @@ def _core_entry(entry: Entry, node_id: int) -> tuple[str, str, int, CoreValue, i
 
 
 def _dcf_settings(description: Description, od: ObjectDictionary) -> dict[str, bytes]:
-    """Return the ParameterValues as groups of stored parameters."""
     given = [entry for entry in description.entries() if entry.value is not None]
     for entry in given:
         if entry.access not in (READ_ONLY, CONSTANT) and entry.value is not None:

@@ -39,8 +39,6 @@ def read_objects(file: EdsFile, into: Description) -> None:
 
 
 class _Reader:
-    """The sections of one index."""
-
     def __init__(self, file: EdsFile, into: Description, index: int) -> None:
         self._file, self._into, self._index = file, into, index
         self._subs = file.subs.get(index, {})
@@ -100,7 +98,6 @@ class _Reader:
 
     @cached_property
     def _compact(self) -> int:
-        """How many sub-indices CompactSubObj stands for."""
         given = 0 if self._section is None else read_key(self._section, "CompactSubObj")
         count = min(max(given, 0), _MOST_COMPACT)
         if count and count != given:
@@ -170,7 +167,6 @@ class _Reader:
             self._subs[0].say("DefaultValue", f"the highest sub-index is {highest}; the value stays")
 
     def _entry(self, sub: int, section: Section, name: str, is_domain: bool, parent: Section | None = None) -> Entry:
-        """Read the entry of a section; ``parent`` is the section of its object."""
         letter = self._letter(sub, section, is_domain, parent)
         entry = Entry(
             self._index, sub, name, letter, self._access(sub, section, parent), 0, line=section.line,
@@ -213,7 +209,6 @@ class _Reader:
         return letter
 
     def _defined(self, code: int | None) -> str | None:
-        """Return the type behind a DEFTYPE of the file."""
         section = self._file.objects.get(code or 0)
         text = section.get("DataType") if section is not None and (code or 0) < communication.FIRST else None
         return LETTER_OF_CODE.get(values.integer(text).value or 0) if text else None
@@ -288,7 +283,6 @@ def file_content(path: Path, name: str) -> tuple[bytes | None, str]:
 
 
 def _sub_of(key: str) -> int | None:
-    """Return the sub-index of a key of a list: ``1``, ``0x1``; None for another key."""
     return values.integer(key).value if key[:1].isdigit() else None
 
 

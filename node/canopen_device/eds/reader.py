@@ -19,12 +19,8 @@ _FIRST_DUMMY, _LAST_DUMMY = 1, 0x1B
 
 
 def read_eds(path: str | Path, node_id: int | None = None) -> Description:
-    """Return the device that an EDS, DCF, XDD or XDC describes, as node ``node_id`` (default: that of the DCF).
-
-    ``Description.warnings`` says, by line, where the file leaves CiA 306-1, contradicts itself, or is incomplete, and
-    how it is read there. Raises InputError for a file that cannot be read, is no EDS, has no object, or, without
-    ``node_id``, names no node.
-    """
+    """Return the device that an EDS, DCF, XDD or XDC describes, as node ``node_id`` (default: of the DCF), with
+    ``warnings``. Raises InputError for a file that is no EDS, has no object, or, without ``node_id``, names no node."""
     return describe(read(path), node_id)
 
 

@@ -1,7 +1,5 @@
 """The text of an EDS or DCF as sections and keys, with the line of each, and what is wrong with it (CiA 306-1, 4.4).
-
-``KEYS`` are the keys of one form: parser, default, name in an XDD (CiA 306-1, CiA 311).
-"""
+``KEYS`` are the keys of one form: parser, default, name in an XDD (CiA 306-1, CiA 311)."""
 
 from __future__ import annotations
 
@@ -79,10 +77,8 @@ def shortened(text: str) -> str:
 @dataclass(slots=True)
 class EdsFile:
     """The sections of a file by their names in lower case; objects, their subs and their lists by number.
-
     ``lists[index]`` holds the sections "name", "value" and "denotation" of a compact object. ``content``: the bytes of
-    the file, those of its sections for an XDD.
-    """
+    the file, those of its sections for an XDD."""
 
     sections: dict[str, Section] = field(default_factory=dict)
     objects: dict[int, Section] = field(default_factory=dict)
@@ -128,10 +124,8 @@ def decoded(content: bytes) -> tuple[str, int, str]:
 
 
 def parse(content: bytes, path: str | Path = "") -> EdsFile:
-    """Read the sections of an EDS or DCF in UTF-8, UTF-16, or Windows-1252.
-
-    Lines that are no part of an EDS, and what occurs twice, become findings. Raises InputError beyond the limits.
-    """
+    """Read the sections of an EDS or DCF in UTF-8, UTF-16, or Windows-1252. Lines that are no part of an EDS, and what
+    occurs twice, become findings. Raises InputError beyond the limits."""
     file = EdsFile(path=path, content=content, findings=Findings(path))
     section: Section | None = None
     text, line_decoded, remark = decoded(content)
@@ -159,7 +153,6 @@ def parse(content: bytes, path: str | Path = "") -> EdsFile:
 
 
 def _heading(file: EdsFile, line: str, number: int) -> str:
-    """Return the name of the section that a line opens."""
     name, closed, behind = line[1:].partition("]")
     if not closed:
         file.findings.add(number, f"{_shown(line)}: ] is missing; read as a section")

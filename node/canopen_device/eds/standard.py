@@ -207,7 +207,6 @@ def _check_lists(file: EdsFile, eds: Description) -> None:
 
 
 def _check_parameter_values(file: EdsFile, eds: Description) -> None:
-    """Report the values of a DCF in a file that configures no node."""
     subs = [section for index in file.subs for section in file.subs[index].values()]
     given = [section for section in [*file.objects.values(), *subs] if section.get("ParameterValue")]
     if given and not eds.is_dcf:

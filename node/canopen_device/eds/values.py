@@ -1,7 +1,5 @@
 """Numbers and values as an EDS writes them: hexadecimal, decimal, octal, $NODEID, text, REAL as decimal or as bits.
-
-Each function returns what it read and a remark, "" where the text is as CiA 306-1 has it. Nothing raises.
-"""
+Each function returns what it read and a remark, "" where the text is as CiA 306-1 has it. Nothing raises."""
 
 from __future__ import annotations
 
@@ -141,7 +139,6 @@ def _integer(kind: DataType, text: str, node_id: int) -> tuple[int, bool, str]:
 
 
 def _real(kind: DataType, text: str) -> tuple[float, str]:
-    """Read a decimal number, or the bits as a hexadecimal number of all digits."""
     if not text:
         return 0.0, ""
     plain, remark = uncommented(text)

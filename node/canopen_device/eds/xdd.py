@@ -73,10 +73,8 @@ Attributes = Mapping[str, str]
 
 
 def xdd_text(described: Description, creator: str = "canopen_device") -> str:
-    """Return the XDD of a device; values with $NODEID are written with it.
-
-    As in the schema, elements that it declares globally have the namespace, those below a type have none.
-    """
+    """Return the XDD of a device; values with $NODEID are written with it. As in the schema, elements that it declares
+    globally have the namespace, those below a type have none."""
     name = quoteattr(described.path.stem + ".xdd")
     body = f'formatName="CANopen" formatVersion="1.0" fileName={name} fileCreator={quoteattr(creator)}'
     body += f' fileCreationDate="{_DATE}" fileVersion="1"'
@@ -176,11 +174,8 @@ def _transport(described: Description) -> list[str]:
 
 
 def read_xdd(path: str | Path, content: bytes) -> EdsFile:
-    """Return the objects of an XDD or XDC.
-
-    Raises InputError for what is no XML, has a document type of its own (so there are no entities), or has more than
-    MOST_LINES elements, DEEPEST levels, or the limits of ``EdsFile.take``.
-    """
+    """Return the objects of an XDD or XDC. Raises InputError for what is no XML, has a document type of its own (so
+    there are no entities), or has more than MOST_LINES elements, DEEPEST levels, or the limits of ``EdsFile.take``."""
     reader = _Reader(str(path))
     try:
         reader.parser.Parse(content, True)
@@ -298,7 +293,6 @@ def _section(file: EdsFile, name: str, keys: Attributes, line: int = 1) -> Secti
 
 
 def _keys(given: Attributes) -> dict[str, str]:
-    """Return the keys of an EDS for the attributes of an object."""
     keys = {
         _KEYS[key]: f"0x{text}" if key in _HEXADECIMAL and _DIGITS.fullmatch(text) else text
         for key, text in given.items()

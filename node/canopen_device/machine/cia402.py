@@ -129,7 +129,6 @@ class Drive(DeviceApplication):
         return self._get(QUICK_STOP_OPTION, 2) in (5, 6, 7, 8)
 
     def _after(self, word: int) -> int:
-        """Return the state that a controlword leads to."""
         state = self.state
         if not word & _VOLTAGE:
             return SWITCH_ON_DISABLED
@@ -144,7 +143,6 @@ class Drive(DeviceApplication):
         return ENABLED if word & _ENABLE else SWITCHED_ON
 
     def _set_point(self, word: int, rising: int) -> None:
-        """Handle bit 4: a new set-point, or the start of homing."""
         mode = self._mode()
         if mode == PROFILE_POSITION:
             if rising & _START:
@@ -186,7 +184,6 @@ class Drive(DeviceApplication):
                 self._end_homing()
 
     def _run_at(self, velocity: float, acceleration: float, dt_s: float) -> None:
-        """Change the velocity towards ``velocity`` for ``dt_s``."""
         before, most = self.velocity, acceleration * dt_s
         self.velocity = velocity if abs(velocity - before) <= most else before + math.copysign(most, velocity - before)
         wanted = self.position + 0.5 * (before + self.velocity) * dt_s
@@ -228,7 +225,6 @@ class Drive(DeviceApplication):
         return inside
 
     def _publish(self) -> None:
-        """Set the objects that a master reads."""
         self._put(POSITION, round(self.position))
         self._put(VELOCITY, round(self.velocity))
         mode = self._mode() if self.state == ENABLED else 0

@@ -32,10 +32,8 @@ _MOST_WAITING = 4096
 
 class DeviceApplication:
     """What a simulated device does beyond CANopen. Every method may be overridden; this class does nothing.
-
-    ``self.device`` is the device: ``self.device[0x6064] = 100`` sets a value and sends the PDOs that are due on it.
-    The methods run in the thread of the bus loop and must not wait; an exception ends the loop.
-    """
+    ``self.device`` is the device: ``self.device[0x6064] = 100`` sets a value and sends the PDOs that are due on it. The
+    methods run in the thread of the bus loop and must not wait; an exception ends the loop."""
 
     device: SimulatedDevice
     period_s = 0.01
@@ -48,10 +46,8 @@ class DeviceApplication:
         """Handle an NMT reset node, also the first: all values are those of the EDS, or stored ones."""
 
     def on_write(self, entry: Entry, value: Value) -> int:  # noqa: ARG002
-        """Handle a value that a master writes, by SDO or PDO: return 0 to accept it, or an SDO abort code.
-
-        The value is stored after this call. Objects below 2000h belong to CANopen itself and are not reported.
-        """
+        """Handle a value that a master writes, by SDO or PDO: return 0 to accept it, or an SDO abort code. The value is
+        stored after this call. Objects below 2000h belong to CANopen itself and are not reported."""
         return 0
 
     def on_sync(self) -> None:
@@ -62,12 +58,10 @@ class DeviceApplication:
 
 
 class SimulatedDevice:
-    """One simulated CANopen device. ``device[key]`` reads and writes a value, also while it runs in another thread.
-
-    A key is an index (0x6064), (index, sub-index), "0x6064:00", "6064h", or the ParameterName of the EDS. A value that
-    is set, or written by a master, sends the event-driven PDOs that map it. Raises InputError for a key that the
-    device does not have and a value that is not of its type.
-    """
+    """One simulated CANopen device. ``device[key]`` reads and writes a value, also while it runs in another thread. A
+    key is an index (0x6064), (index, sub-index), "0x6064:00", "6064h", or the ParameterName of the EDS. A value that is
+    set, or written by a master, sends the event-driven PDOs that map it. Raises InputError for a key that the device
+    does not have and a value that is not of its type."""
 
     def __init__(
         self, description: Description, application: DeviceApplication | None = None,
@@ -176,7 +170,6 @@ class SimulatedDevice:
             self.faults.end(kind)
 
     def _announce(self, index: int, sub: int) -> None:
-        """Report a change to the PDOs that are sent on one."""
         for number, transmission, keys in self.core.tpdos.mapped():
             if (transmission >= codes.EVENT_DRIVEN or transmission == _ACYCLIC) and (index, sub) in keys:
                 self.core.tpdos.request(number)
@@ -244,10 +237,8 @@ class Faults:
         self._origin_us: int | None = None
 
     def plan(self, kind: str, at_s: float = 0.0, for_s: float | None = None, **parameters: float) -> None:
-        """Start a fault at ``at_s``, and end it after ``for_s`` seconds (None: never).
-
-        Raises InputError for an unknown kind or parameter, and a time before 0.
-        """
+        """Start a fault at ``at_s``, and end it after ``for_s`` seconds (None: never). Raises InputError for an unknown
+        kind or parameter, and a time before 0."""
         checked(kind, parameters)
         if at_s < 0.0 or (for_s is not None and for_s <= 0.0):
             shown = f"at_s {at_s:g}, for_s {for_s}"

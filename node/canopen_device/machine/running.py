@@ -55,11 +55,9 @@ def made_device(
     values: Mapping[Any, Value] | None = None, signals: Mapping[Key, Signal] | None = None, store: str = "",
     folder: Path | None = None,
 ) -> SimulatedDevice:  # fmt: skip
-    """Return a device: ``eds`` "cia402" is the shipped drive, ``application`` also a name, ``store`` a file.
-
-    A text among ``values`` is read as its entry's type. ``folder`` is that of the file that names the others. Raises
-    InputError, with ``folder`` for a file that is not below it, too.
-    """
+    """Return a device: ``eds`` "cia402" is the shipped drive, ``application`` also a name, ``store`` a file. A text
+    among ``values`` is read as its entry's type. ``folder`` is that of the file that names the others. Raises
+    InputError, with ``folder`` for a file that is not below it, too."""
     shipped = eds == CIA402 and not path_of(folder, eds, "eds").exists()
     description = read_eds(shipped_eds(CIA402) if shipped else path_of(folder, eds, "eds"), node_id)
     if isinstance(application, str | None):
@@ -113,18 +111,15 @@ def simulated_device(
     application: DeviceApplication | None = None, values: Mapping[Key, Value] | None = None,
     signals: Mapping[Key, Signal] | None = None,
 ) -> Iterator[SimulatedDevice]:  # fmt: skip
-    """Run the device of an EDS or DCF on a bus while the block lasts; yield it after its boot-up message is sent.
+    """Run the device of an EDS, a DCF or "cia402" (the shipped drive) on a bus while the block lasts; yield it after
+    its boot-up message. ``bus`` is that of the master: a ``can.BusABC``, or an object that has one as ``bus`` or
+    ``network.bus``, such as a ``canopen.Network``; the device opens its own connection to a virtual, SocketCAN or
+    multicast bus, and uses any other itself. A text names a SocketCAN interface, a dict holds keywords of ``can.Bus``;
+    without ``bus``, ``device.bus_options`` are those by which this process reaches the device. Parameters are stored in
+    memory. ``values`` are set once, ``signals`` all the time.
 
-    ``path`` is a file, or "cia402" for the shipped drive. ``bus`` is that of the master: a ``can.BusABC``, or an object
-    that has one as ``bus`` or ``network.bus``, such as a ``canopen.Network``. The device opens its own connection to a
-    virtual, SocketCAN or multicast bus, and uses any other bus itself. A text names a
-    SocketCAN interface, a dict holds keywords of ``can.Bus``; without ``bus``, ``device.bus_options`` holds the
-    keywords by which this process reaches the device. Parameters are stored in memory. ``values`` are set once,
-    ``signals`` all the time.
-
-    Raises InputError for the file, the node-id, a key or a value; EnvironmentLackError for a bus that cannot be
-    opened; at the end of the block, the error that ended the device.
-    """
+    Raises InputError for the file, the node-id, a key or a value; EnvironmentLackError for a bus that cannot be opened;
+    at the end of the block, the error that ended the device."""
     with simulated_devices([device_from_file(path, node_id, application, values, signals)], bus) as devices:
         yield devices[0]
 

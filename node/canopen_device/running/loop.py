@@ -52,10 +52,8 @@ def now_us() -> int:
 
 
 def run(devices: Sequence[Runnable], port: Port, stop: Callable[[], bool] = lambda: False) -> None:
-    """Step ``devices`` on one bus until ``stop()``, called at least five times a second, returns true.
-
-    Each frame goes to every device. The clock is the monotonic one; changes of the time of day have no effect.
-    """
+    """Step ``devices`` on one bus until ``stop()``, called at least five times a second, returns true. Each frame goes
+    to every device. The clock is the monotonic one; changes of the time of day have no effect."""
     frames: list[Frame] = []
     while not stop():
         t_us = now_us()
@@ -100,11 +98,8 @@ def running(
 
 
 def say_stopped(devices: Sequence[Device], port: Port) -> None:
-    """Return the last frame of each node that ends on purpose: a heartbeat with the NMT state STOPPED (04h).
-
-    A host sees at once that the node has ended; it detects a killed node only after the heartbeat time.
-    A node without a node-id sends nothing.
-    """
+    """Return the last frame of each node that ends on purpose, a heartbeat with STOPPED (04h): a host sees the end at
+    once, of a killed node only after the heartbeat time. A node without a node-id sends nothing."""
     for device in devices:
         if device.node_id != codes.LSS_UNCONFIGURED:
             device.nmt.enter(codes.STOPPED)

@@ -28,11 +28,8 @@ _ERROR_FILTER, _ALL_ERRORS = 2, codes.EXTENDED_MASK  # CAN_RAW_ERR_FILTER and CA
 
 
 class SocketCanPort:
-    """A raw SocketCAN socket on ``interface``, the fastest port on Linux. Raises OSError if it does not exist.
-
-    The port waits for an interface that goes down (ENETDOWN) or is removed (ENODEV: an adapter is unplugged); frames
-    sent meanwhile are lost. It logs this once, and once more when a frame passes again.
-    """
+    """A raw SocketCAN socket, the fastest port on Linux. Raises OSError without ``interface``. It waits for one that
+    goes down (ENETDOWN) or is removed (ENODEV), and logs both ends once; frames sent meanwhile are lost."""
 
     def __init__(self, interface: str) -> None:
         self._interface = interface
@@ -153,7 +150,6 @@ def _has_bit_timing(interface: str) -> bool:
 
 
 def _run(command: list[str], remedy: str) -> None:
-    """Run a command of iproute2; if it fails, log the reason and what the user can do."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=5, check=False)
         complaint = done.stderr.strip() if done.returncode else ""

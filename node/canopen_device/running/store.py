@@ -44,14 +44,10 @@ class _Slot(NamedTuple):
 
 
 class FileStore:
-    """``save`` and ``load`` of a device in two files, ``path`` and ``path`` with ``.2`` added.
-
-    Each is JSON: a sequence number, the groups (name -> hex), a CRC-32 over both. A save replaces the slot with the
-    lower number: it writes a temporary file in the same directory, flushes it to the disk (fsync), renames it in one
-    step, then flushes the directory; only then does ``save`` return. A corrupt slot is logged once, and the other slot
-    applies. Without an intact slot the readable groups are returned unchanged: each has its own CRC, which the device
-    checks. Raises InputError if ``path`` is a directory or lies in a directory that does not exist.
-    """
+    """``save`` and ``load`` of a device in two files, ``path`` and ``path`` with ``.2`` added: JSON of a sequence
+    number, the groups (name -> hex), a CRC-32. A save replaces the lower number: temporary file, fsync, rename, fsync
+    of the directory. A corrupt slot is logged once, and the other applies; without an intact one the readable groups
+    are returned: the device checks the CRC of each. Raises InputError if ``path`` is a directory or in none."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path = Path(path).absolute()
@@ -101,10 +97,7 @@ class FileStore:
             return _DAMAGED
 
     def _slots(self) -> list[_Slot]:
-        """Return the existing slots.
-
-        Raises OSError if the disk does not return a file: its content must then not be replaced either.
-        """
+        """The existing slots. Raises OSError for a file that cannot be read: it must not be replaced either."""
         slots = []
         for path in self._paths:
             with contextlib.suppress(FileNotFoundError):

@@ -1,8 +1,6 @@
-"""CAN frames as UDP multicast (python-can's `udp_multicast`), without the frames that a bus object sent itself.
-
-The network returns a sender's own datagrams, because other programs of the same machine also need them. A CANopen node
-that received its own frames would report a collision of COB-IDs (EMCY 8150h).
-"""
+"""CAN frames as UDP multicast (python-can's `udp_multicast`), without the frames that a bus object sent itself. The
+network returns a sender's own datagrams, because other programs of the same machine also need them. A CANopen node that
+received its own frames would report a collision of COB-IDs (EMCY 8150h)."""
 
 from __future__ import annotations
 
@@ -27,11 +25,8 @@ _FLOAT64 = b"\xcb"  # of MessagePack, in which the frames are packed
 
 
 class OwnEchoFreeBus(UdpMulticastBus):
-    """A multicast bus that drops its own echoes and malformed datagrams.
-
-    The field ``timestamp`` of a sent frame identifies its sender: receivers replace it by the time of reception. Buses
-    of plain python-can receive these frames unchanged.
-    """
+    """A multicast bus that drops its own echoes and malformed datagrams. The field ``timestamp`` of a sent frame
+    identifies its sender: receivers, also plain python-can's, replace it by the time of reception."""
 
     def __init__(self, channel: str = DEFAULT_GROUP, **options: Any) -> None:
         """Raises EnvironmentLackError if the package is missing or the machine has no route to the group."""

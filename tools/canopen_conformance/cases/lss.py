@@ -1,8 +1,5 @@
-"""LSS slave: switch state, configure, inquire, identify (CiA 305).
-
-All of them select the device by its identity, so that other LSS slaves on the bus stay as they are; the two cases of
-"switch state global" switch all of them to configuration and back.
-"""
+"""LSS slave: switch state, configure, inquire, identify (CiA 305). All cases select the device by its identity, so that
+other slaves stay as they are; two switch all of them to configuration and back (switch state global)."""
 
 from __future__ import annotations
 
@@ -42,10 +39,8 @@ def identity(dut: Dut) -> list[int]:
 
 
 def say_each(dut: Dut, first: int, numbers: Iterable[tuple[int, int]]) -> None:
-    """A request for each (part, number): switch state SELECTIVE, or IDENTIFY remote slave.
-
-    The parts of the second are vendor, product, revision from, to, serial number from, to.
-    """
+    """A request for each (part, number): switch state SELECTIVE, or IDENTIFY remote slave. The parts of the second are
+    vendor, product, revision from, to, serial number from, to."""
     for part, number in numbers:
         say(dut, first + part, number=number)
 
