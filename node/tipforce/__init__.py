@@ -26,8 +26,7 @@ semantic versioning: until 1.0 a minor version may change them, as the changelog
 notice.
 
 Names carry units (``force_newtons``, ``theta_rad``), shapes are written as (n, 3), NaN means unknown. All errors
-that tipforce raises on purpose are ``TipforceError``; the message says what to do next.
-"""
+that tipforce raises on purpose are ``TipforceError``; the message says what to do next."""
 
 from canopen_device.lazy import lazy
 

@@ -24,11 +24,8 @@ def occurring(small: npt.NDArray[np.unsignedinteger[Any]]) -> list[int]:
 
 
 def floats(name: str, values: npt.ArrayLike) -> FloatArray:
-    """Return values as an array of float64; NaN and infinity stay.
-
-    Raises InputError naming ``name`` for what is no array of real numbers: text, complex numbers, truth values, rows of
-    different lengths, and masked entries, whose values do not count.
-    """
+    """Return values as an array of float64; NaN and infinity stay. Raises InputError naming ``name`` for text, complex
+    numbers, truth values, rows of different lengths, and masked entries, whose values do not count."""
     try:
         given = np.ma.asarray(values) if isinstance(values, list | tuple | np.ma.MaskedArray) else np.asarray(values)
         real, truth = numbers.Real | Decimal, bool | np.bool_

@@ -1,8 +1,5 @@
-"""Output files: written under a temporary name beside their own, and renamed when they are complete.
-
-So a full disk, an error or an interruption leaves the old file as it was. A file that is also an input, or that is of
-another kind than the new one, is refused.
-"""
+"""Output files: written under a temporary name beside their own, and renamed when complete: an error leaves the old
+file. A file that is also an input, or of another kind than the new one, is refused."""
 
 from __future__ import annotations
 
@@ -121,10 +118,8 @@ class NewFile:
 
 @contextmanager
 def new_file(path: str | Path, kind: Kind | None = None, inputs: Iterable[str | Path] = ()) -> Iterator[Path]:
-    """Give the path to write to; at the end of the block the file gets its name, unless an error occurred.
-
-    Raises InputError for a path that cannot be written and as check_output does, WriteError for a failed write.
-    """
+    """Give the path to write to; at the end of the block the file gets its name, unless an error occurred. Raises
+    InputError for a path that cannot be written and as check_output does, WriteError for a failed write."""
     file = NewFile(path, kind, inputs)
     try:
         yield file.partial
@@ -144,10 +139,8 @@ def write_file(path: str | Path, content: str | bytes, kind: Kind | None = None)
 
 
 def write_files(folder: Path, files: Mapping[str, tuple[str, Kind]]) -> list[Path]:
-    """Write texts by their names into a folder, created if it is missing; return the paths.
-
-    Raises as make_folder and new_file do; a file of another kind is refused before the first is written.
-    """
+    """Write texts by their names into a folder, created if it is missing; return the paths. Raises as make_folder and
+    new_file do; a file of another kind is refused before the first is written."""
     make_folder(folder)
     for name, (_, kind) in files.items():
         check_output(folder / name, kind)
@@ -165,10 +158,8 @@ def figure_kind(path: str | Path, allowed: Iterable[str] = (".svg", ".png")) -> 
 
 
 def save_figure(figure: Any, path: str | Path, allowed: Iterable[str] = (".svg", ".png"), **options: Any) -> None:
-    """Write a figure of matplotlib without a date, so that equal data give equal files.
-
-    Raises InputError for another suffix than ``allowed``, and as new_file does.
-    """
+    """Write a figure of matplotlib without a date, so that equal data give equal files. Raises InputError for another
+    suffix than ``allowed``, and as new_file does."""
     kind = figure_kind(path, allowed)
     suffix = Path(path).suffix.lower()
     metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}, ".png": {"Software": None}}[suffix]

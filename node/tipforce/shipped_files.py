@@ -17,10 +17,8 @@ def shipped_folder(kind: str) -> Path:
 
 
 def file_or_shipped(text: str, kind: str) -> Path:
-    """Return the path ``text``, or the file of that name that ships with tipforce.
-
-    A file of the user has priority. Raises InputError for a bare name that is neither.
-    """
+    """Return the path ``text``, or the file of that name that ships with tipforce. A file of the user has priority.
+    Raises InputError for a bare name that is neither."""
     path, suffix = Path(text), SUFFIXES[kind]
     if text == "-" or path.exists() or path.name != text or path.suffix not in ("", suffix):
         return path

@@ -28,12 +28,9 @@ class _Sample:
 
 
 class Assembler:
-    """Samples of the nodes whose PDOs are ``pdos``: by identifier the node-id and the layout.
-
-    ``needed``: the names of the PDOs with which a sample is complete, at once, with the time of the last one; samples
-    without them are dropped. Empty: a sample is complete when no PDO can join it any more, with the time of its first.
-    Faults (2124h) are held as TPDO4 and EMCY tell them.
-    """
+    """Samples of the nodes whose PDOs are ``pdos``: by identifier the node-id and the layout. ``needed``: the PDOs with
+    which a sample is complete, with the time of the last; samples without them are dropped. Empty: complete when no PDO
+    can join any more, with the time of the first. Faults (2124h) are held as TPDO4 and EMCY tell them."""
 
     def __init__(
         self, pdos: Mapping[int, tuple[int, Message]], needed: Sequence[str] = (), gauges: int = 0,
@@ -54,9 +51,7 @@ class Assembler:
 
     def feed(self, frames: FrameArray, now_ns: int | None = None) -> Samples:
         """Process frames, FRAME (n,), in the order of the bus; return the samples that are complete, often none.
-
-        ``now_ns``: the time on their clock, after which an incomplete sample is old; None: that of the last frame.
-        """
+        ``now_ns``: the time on their clock, after which an incomplete sample is old; None: that of the last frame."""
         last_ns = None
         for t_ns, can_id, length, word in FIELDS.iter_unpack(frames.tobytes()):
             last_ns = t_ns

@@ -21,11 +21,8 @@ class _MadeLater:
 
 @dataclass(frozen=True, slots=True)
 class Contact(_MadeLater):
-    """One sample of one finger. NaN stands for unknown; ``reason`` says why.
-
-    ``u_...`` are standard uncertainties (1 sigma) from the gauge noise of the calibration, NaN where no calibration is
-    known.
-    """
+    """One sample of one finger. NaN stands for unknown; ``reason`` says why. ``u_...`` are standard uncertainties (1
+    sigma) from the gauge noise of the calibration, NaN where no calibration is known."""
 
     node_id: int
     t_s: float

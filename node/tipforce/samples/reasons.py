@@ -1,7 +1,5 @@
-"""Why a value is unknown or doubtful, in words: the one table for everything that a person reads.
-
-A status has the bits of ``Status``: the status byte 2120h, three bits of the host, and bits 12 to 15 of 2124h.
-"""
+"""Why a value is unknown or doubtful, in words: the one table for everything that a person reads. A status has the bits
+of ``Status``: the status byte 2120h, three bits of the host, and bits 12 to 15 of 2124h."""
 
 from __future__ import annotations
 
@@ -13,11 +11,9 @@ from tipforce.sensor.contact import scalar
 
 
 class Status(enum.IntFlag):
-    """The status byte of a sample (2120h); bits 12 to 15 are those of 2124h, as far as they could be seen.
-
-    Bit 8: the finger did not answer; bit 9: see ``first_order_holds``; bit 10: the force does without a gauge;
-    bit 11: the calibration states no force range.
-    """
+    """The status byte of a sample (2120h); bits 12 to 15 are those of 2124h, as far as they could be seen. Bit 8: the
+    finger did not answer; bit 9: see ``first_order_holds``; bit 10: the force does without a gauge; bit 11: the
+    calibration states no force range."""
 
     CONTACT = scalar.CONTACT_PRESENT
     CALIBRATED = scalar.CALIBRATED

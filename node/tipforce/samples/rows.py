@@ -1,14 +1,12 @@
-"""The samples of a SYNC become a row of a hand: one row for each SYNC, with every finger's answer to it.
-
-A SYNC with a counter is numbered, and each answer carries the number in 2121h: it is assigned to its row by
-arithmetic, whenever it arrives, up to half the numbers late. Without numbers an answer is assumed to be that to the
-last SYNC before it. A finger that was missing may still send the answer to the SYNC before; so its next row stays open
-until the next SYNC, and two different answers in it are both discarded.
+"""The samples of a SYNC become a row of a hand: one row for each SYNC, with every finger's answer to it. A SYNC with a
+counter is numbered, and each answer carries the number in 2121h: it is assigned to its row by arithmetic, up to half
+the numbers late. Without numbers an answer is taken to be to the last SYNC before it; a finger that was missing may
+still send that to the SYNC before: so its next row stays open until the next SYNC, and two different answers in it are
+discarded.
 
 Frames are processed one after another, as raw words: a bus gives a few at a time, for which numpy's calls cost more.
 While each SYNC follows the last and every answer is to it, the compiled core does so (``rows`` of _core.c), with a
-state of its own; the first other frame brings the state back (``_leave``), and the loop here goes on.
-"""
+state of its own; the first other frame brings the state back (``_leave``), and the loop here goes on."""
 
 from __future__ import annotations
 
@@ -84,11 +82,8 @@ class _OpenRow:
 
 
 class RowAssembler:
-    """Rows of the PDOs ``messages`` (names) of the fingers ``node_ids``.
-
-    A row that is incomplete ``wait_s`` after its SYNC was received is emitted incomplete. ``own_sync``: the host sends
-    the SYNC.
-    """
+    """Rows of the PDOs ``messages`` (names) of the fingers ``node_ids``. A row that is incomplete ``wait_s`` after its
+    SYNC was received is emitted incomplete. ``own_sync``: the host sends the SYNC."""
 
     def __init__(
         self, node_ids: Sequence[int], messages: Sequence[str] = ("Contact",), gauges: int = 3,
@@ -162,10 +157,8 @@ class RowAssembler:
             return self._numbers.number % LARGEST + 1
 
     def add(self, frames: FrameArray, now_s: float) -> Rows:
-        """Process received frames, FRAME (n,); return the rows that are complete or timed out, often none.
-
-        ``now_s`` is a monotonic time. Call it without frames too, to detect an unanswered SYNC.
-        """
+        """Process received frames, FRAME (n,); return the rows that are complete or timed out, often none. ``now_s`` is
+        a monotonic time. Call it without frames too, to detect an unanswered SYNC."""
         data = frames.tobytes()
         with self.lock:
             if self._inside or self._enter():
@@ -231,7 +224,6 @@ class RowAssembler:
         return True
 
     def _leave(self) -> None:
-        """Take the state back from the core."""
         if not self._inside:
             return
         self._inside = False
@@ -292,11 +284,9 @@ class RowAssembler:
         self._gap_rows -= steps - 1
 
     def _settle(self, before: int) -> None:
-        """Store the held answers that the number of this SYNC decides on; the last one was that of row ``before``.
-
-        The count went on, so that they are right. One ahead of its SYNC is right if the SYNC was not received and it
-        came in its place, else doubtful.
-        """
+        """Store the held answers that the number of this SYNC decides on; the last one was that of row ``before``. The
+        count went on, so that they are right. One ahead of its SYNC is right if the SYNC was not received and it came
+        in its place, else doubtful."""
         for (row, slot), (last, word, state) in list(self._held.items()):
             if row <= self._last:
                 right = row <= last or (last == before and not self._rows[row].received)
@@ -396,9 +386,7 @@ class RowAssembler:
 
     def _close(self, now_s: float) -> None:
         """Close the rows that are ready; after each frame, so that rows do not depend on how frames are cut into calls.
-
-        What a closed row has no longer changes: a later answer to it is late.
-        """
+        What a closed row has no longer changes: a later answer to it is late."""
         end = self._ready(now_s)
         for number in range(self._first, end):
             row = self._rows[number]
@@ -435,7 +423,6 @@ class RowAssembler:
                     self.tally.repeated[k] += 1
 
     def _join(self, row: _OpenRow, why: list[int]) -> None:
-        """Add the reasons of the messages after the first."""
         counters, fingers = self._counters(row.words), len(self.node_ids)
         for at in range(fingers, self._slots):
             k = at % fingers

@@ -166,7 +166,6 @@ class FrameFeed(Feed):
         return blocks, [*events, *watched]
 
     def _read(self, timeout_s: float) -> FrameArray:
-        """Return the next frames; without a timeout all that have arrived."""
         frames, _ = self._source.take(timeout_s)
         if timeout_s or not len(frames):
             return frames

@@ -117,10 +117,8 @@ class Observed:
 
 
 def findings(seen: Observed, sync: str = SEND_SYNC, wanted: Sequence[FingerPlan] = ()) -> list[Finding]:
-    """Return what is missing on a bus, the most fundamental first; ``sync``: the remedy of a missing SYNC.
-
-    ``wanted``: the fingers of a hand file, to compare serial numbers with.
-    """
+    """Return what is missing on a bus, the most fundamental first; ``sync``: the remedy of a missing SYNC. ``wanted``:
+    the fingers of a hand file, to compare serial numbers with."""
     return [*of_the_wire(seen), *_of_the_nodes(seen, sync), *_of_the_hand(wanted, seen)]
 
 

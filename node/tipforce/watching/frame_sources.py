@@ -24,9 +24,7 @@ _WAITING_BLOCKS = 64
 
 class FrameSource:
     """``ended``: no more frames will arrive. Its clock is that of the frames: adapters and recordings have their own.
-
-    It goes on with ``clock`` while no frames arrive. ``close`` releases the buses or the log.
-    """
+    It goes on with ``clock`` while no frames arrive. ``close`` releases the buses or the log."""
 
     def __init__(self, close: Callable[[], object], clock: Clock = time.monotonic) -> None:
         self.ended = False
@@ -37,9 +35,7 @@ class FrameSource:
 
     def take(self, timeout_s: float) -> tuple[FrameArray, Sequence[str]]:
         """Wait for frames up to a timeout; return a FRAME array (k,), k may be 0, and the names of the interfaces.
-
-        Raises the errors of the bus or of the log's reader.
-        """
+        Raises the errors of the bus or of the log's reader."""
         frames, names = self._take(timeout_s)
         if len(frames):
             self._newest = int(frames["t_ns"][-1]), self._clock()
@@ -102,10 +98,8 @@ class PipeSource(FrameSource):
 
 
 class LogSource(FrameSource):
-    """A log with its recorded timing, ``speed`` times as fast; infinite: without waiting.
-
-    A step returns the frames of at most ``step_ns``, so that a table of any time of the log can be shown.
-    """
+    """A log with its recorded timing, ``speed`` times as fast; infinite: without waiting. A step returns the frames of
+    at most ``step_ns``, so that a table of any time of the log can be shown."""
 
     def __init__(
         self, log: LogReader, speed: float, step_ns: int, clock: Clock = time.monotonic,

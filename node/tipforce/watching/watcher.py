@@ -61,10 +61,8 @@ def with_layout(finger: Finger, layout: str, fallback: Fallback | None) -> Finge
 
 
 def hand_fingers(hand: HandFile | Hand, fallback: Fallback | None = None) -> tuple[Finger, ...]:
-    """Return the fingers of a hand, with calibrations and gauge positions. Raises InputError.
-
-    A commissioned hand has also the nodes' own calibrations, where its file has none.
-    """
+    """Return the fingers of a hand, with calibrations and gauge positions. Raises InputError. A commissioned hand has
+    also the nodes' own calibrations, where its file has none."""
     plans = hand.finger if isinstance(hand, HandFile) else hand.file.finger
     return tuple(
         with_layout(Finger(plan.node_id, plan.name, hand.calibration(plan)), plan.layout, fallback) for plan in plans

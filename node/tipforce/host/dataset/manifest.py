@@ -1,10 +1,7 @@
-"""The manifest of a dataset: which parts of which logs it holds, in which files, and where each log continues.
-
-It is one JSON file per generation in ``DIR/_tipforce``, beside ``DIR/rows`` and ``DIR/events``, which hold Parquet
-files and nothing else: query engines open every file in a folder. A new generation is created only if nobody else
-created it, so of two writers one commits and the other one merges its changes, or gives up if both changed the same
-log.
-"""
+"""The manifest of a dataset: which parts of which logs it holds, in which files, and where each log continues. One JSON
+file per generation in ``DIR/_tipforce``, beside ``DIR/rows`` and ``DIR/events``, which hold nothing but Parquet files:
+query engines open every file in a folder. A new generation is created only if nobody else created it, so of two writers
+one commits and the other merges its changes, or gives up if both changed the same log."""
 
 from __future__ import annotations
 
@@ -38,10 +35,8 @@ _KEPT_GENERATIONS = 2  # for readers that have just listed them
 
 
 class DataFile(msgspec.Struct, frozen=True, array_like=True):
-    """Rows of one node on one UTC day in a Parquet file. Times in nanoseconds of the epoch.
-
-    Parts that were compacted share a file, each with its own rows; ``bytes`` and ``sha256`` are of the whole file.
-    """
+    """Rows of one node on one UTC day in a Parquet file. Times in nanoseconds of the epoch. Parts that were compacted
+    share a file, each with its own rows; ``bytes`` and ``sha256`` are of the whole file."""
 
     path: FilePath
     node: int
@@ -212,10 +207,8 @@ class _Earlier(msgspec.Struct):
 
 
 def commit(store: Store, change: Change) -> Manifest:
-    """Add a change as the next generation, and remove what it replaces.
-
-    Raises WriteError as ``Change.applied`` does, OSError.
-    """
+    """Add a change as the next generation, and remove what it replaces. Raises WriteError as ``Change.applied`` does,
+    OSError."""
     while True:
         before = read_manifest(store) or Manifest()
         remove_replaced(store, before)  # of a writer that ended: no later generation names these files
@@ -273,7 +266,6 @@ def _clean(store: Store, mark: Path) -> None:
 
 
 def _remove_unlisted(store: Store, root: Path, token: str) -> None:
-    """Remove the files of a run that no manifest lists."""
     listed = (read_manifest(store) or Manifest()).paths()
     for pattern in (f"{ROWS}/hand=*/date=*/node=*/*-{token}.parquet", f"{EVENTS}/*-{token}.parquet"):
         for path in root.glob(pattern):

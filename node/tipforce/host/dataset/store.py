@@ -43,10 +43,7 @@ class Store:
         return Path(self._root) if self.filesystem is None else None
 
     def path(self, relative: str) -> str:
-        """Return the full path of a file or folder, for ``filesystem``.
-
-        Raises InputError for a path that leaves the dataset, and for a link.
-        """
+        """Return the path for ``filesystem``. Raises InputError where it leaves the dataset, and for a link."""
         if self.filesystem is None:
             return str(below(self._root, relative, f"{self.name}: path", links=False))
         if not is_below(relative):
@@ -161,10 +158,8 @@ _copies: dict[str, str] = {}
 
 
 def local_copy(name: str) -> str:
-    """Return the path of a log; of a URL that of a copy, which this process makes once and removes at its end.
-
-    Raises InputError for one that cannot be read, EnvironmentLackError as ``Store``.
-    """
+    """Return the path of a log; of a URL that of a copy, which this process makes once and removes at its end. Raises
+    InputError for one that cannot be read, EnvironmentLackError as ``Store``."""
     if not is_url(name) or name.startswith("file://"):
         return name.removeprefix("file://")
     if name not in _copies:

@@ -105,11 +105,8 @@ class Counters:
         self.last = dict(last or {})
 
     def unwrapped(self, table: Table) -> Table:
-        """Return the table with each node's counter continued from its first value.
-
-        An event-driven PDO in its own row belongs to the last latch: it gets the nearest count. Before
-        the first PDO that follows SYNC its counter is unchanged.
-        """
+        """Return the table with each node's counter continued from its first value; an event-driven PDO in its own row
+        gets the nearest count of a latch, before the first PDO that follows SYNC its own."""
         counter, before = table.counter.copy(), dict(self.last)
         order = np.argsort(table.key, kind="stable")
         steady = order[table.cyclic[order]]

@@ -46,10 +46,8 @@ class Plan:
 def make_plan(
     messages: Mapping[Key, tuple[int, Message]], given: Mapping[int, Key], wanted: frozenset[str] | None
 ) -> Plan:
-    """Return the plan for the signals ``wanted`` (None: all); ``given``: identifiers that one message alone has.
-
-    Raises InputError for a signal that no message has.
-    """
+    """Return the plan for the signals ``wanted`` (None: all); ``given``: identifiers that one message alone has. Raises
+    InputError for a signal that no message has."""
     alike = {id(message): message for _, message in messages.values()}
     known = {signal.name for message in alike.values() for signal in message.signals}
     if wanted is not None and not wanted <= known:
@@ -101,12 +99,9 @@ def slots_of(plan: Plan, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint3
 
 @dataclass(slots=True, eq=False)
 class Samples:
-    """k samples of one message of one node, in the order of the input.
-
-    ``t_ns`` (k,) is the receive time of each; ``row`` (k,) is the index of its input frame. ``columns`` holds the
-    requested columns by signal name, each (k,): measurements as float64 in the signal's unit with NaN for unknown,
-    flags as bool, counters and registers as integers. ``message`` has units and resolutions.
-    """
+    """k samples of one message of one node, in the order of the input. ``t_ns`` (k,) is the receive time, ``row`` (k,)
+    the index of the frame. ``columns`` by signal name, each (k,): measurements as float64 in the signal's unit with NaN
+    for unknown, flags as bool, counters and registers as integers. ``message`` has their units."""
 
     node_id: int
     message: Message
@@ -126,10 +121,8 @@ class Change:
 
 class Decoder:
     """Decode the TPDOs of nodes with ``n`` gauges, by the default PDOs of docs/objects.md unless changed by ``remap``.
-
-    ``malformed`` counts, by (node-id, message name), the frames so far that were shorter than their mapping and
-    therefore not decoded (a node reports such an RPDO as EMCY 8210h). Extra bytes of longer ones are ignored.
-    """
+    ``malformed`` counts, by (node-id, message name), frames shorter than their mapping, which are not decoded (a node
+    reports such an RPDO as EMCY 8210h). Extra bytes of longer ones are ignored."""
 
     def __init__(self, n: int = 3, node_ids: Iterable[int] = range(1, 128)) -> None:
         """Raises InputError for an ``n`` outside 3..8 or a node-id outside 1..127."""
@@ -188,12 +181,9 @@ class Decoder:
         return dict(self._messages)
 
     def remap(self, node_id: int, name: str, can_id: int, mapping: Iterable[tuple[int, int, int]]) -> None:
-        """Receive message ``name`` of one node on ``can_id`` (0: not at all) with ``mapping`` (index, sub, bits).
-
-        The identifier then no longer selects the default PDO that has it, even of an absent node. Raises InputError
-        for a node or message that this decoder does not have, an identifier that is not 1..0x7FF or already assigned to
-        another message, and a mapping that ``mapping_signals`` rejects; then nothing has changed.
-        """
+        """Receive message ``name`` of one node on ``can_id`` (0: not at all) with ``mapping`` (index, sub, bits); it
+        then no longer selects a default PDO, even of an absent node. Raises InputError, with no change, for another
+        node or message, an identifier outside 1..0x7FF or in use, a mapping that ``mapping_signals`` rejects."""
         key = node_id, name
         if key not in self._messages:
             names = ", ".join(message.name for message in tpdo_messages(self._n))
@@ -210,7 +200,6 @@ class Decoder:
         self._plans.clear()
 
     def _layout(self, message: Message, mapping: tuple[tuple[int, int, int], ...]) -> Message:
-        """Return ``message`` with another mapping: one object per mapping, so that nodes are decoded together."""
         if (message.name, mapping) not in self._remapped:
             length = (sum(bits for _, _, bits in mapping) + 7) // 8
             signals = mapping_signals(mapping, self._n)
@@ -219,11 +208,8 @@ class Decoder:
         return self._remapped[message.name, mapping]
 
     def decode(self, frames: FrameArray, signals: Iterable[str] | None = None) -> dict[Key, Samples]:
-        """Decode FRAME array (n,) to the samples of each (node-id, message name) that occurs.
-
-        ``signals`` names the wanted signals; nothing else is computed, and messages without any of them are omitted.
-        Remote and error frames and unknown identifiers are ignored. Raises InputError for a name that no message has.
-        """
+        """Decode FRAME array (n,) to the samples of each (node-id, message name); with ``signals`` of these alone.
+        Remote and error frames and unknown identifiers are ignored. Raises InputError for an unknown name."""
         plan = self.plan(signals)
         found: dict[Key, Samples] = {}
         grouped = join(frames, slots_of(plan, frames["can_id"]), plan.alone, _NO_NUMBERS, 0, last=True)
@@ -261,15 +247,10 @@ def unwrap_counter(counter: npt.ArrayLike, modulus: int = 256) -> npt.NDArray[np
 
 
 def lost_samples(counter: npt.ArrayLike, modulus: int = 256) -> int:
-    """Return the number of samples missing from the counter (k,) of a PDO that is sent on every SYNC.
-
-    ``modulus``: 256 where it counts samples; where SYNCs carry numbers their largest (1019h), after which they go on
-    from 1 (``SyncModulus`` finds it in a log), and 0 is no SYNC's latch.
-
-    A repeated value is a SYNC without a new sample (status bit stale), not a loss. An 8-bit counter cannot show 255 or
-    256 samples lost in a row (255 look like a repeat, with the stale bit clear; only the receive times differ); and a
-    frame out of order counts as a loss of 254.
-    """
+    """Return the number of samples missing from the counter (k,) of a PDO that is sent on every SYNC. ``modulus``: 256,
+    or the largest number of the SYNCs (1019h), after which they go on from 1 (``SyncModulus``); 0 is then no SYNC's
+    latch. A repeated value is a SYNC without a new sample (stale), not a loss. An 8-bit counter cannot show 255 or 256
+    samples lost in a row (255 look like a repeat); a frame out of order counts as a loss of 254."""
     values = np.asarray(counter, dtype=np.int64)
     steps = np.diff(values if modulus == 256 else values[values > 0]) % modulus
     return int(np.maximum(steps - 1, 0).sum())

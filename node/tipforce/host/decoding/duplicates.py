@@ -1,10 +1,7 @@
-"""Detect two nodes with one node-id by what they send. Frames in, findings out; no clock and no bus inside.
-
-A request has one response, a reset one boot-up, a heartbeat period one heartbeat. A frame may be lost, late or repeated
-by the bus, so a finding needs a row of such observations, except two serial numbers (1018h:4) in response to one read.
-Frames that two nodes send at the same time, with the same bits, are one frame on a bus; with other data they end as
-error frames.
-"""
+"""Detect two nodes with one node-id by what they send. Frames in, findings out; no clock and no bus inside. A frame may
+be lost, late or repeated by the bus, so a finding needs a row of second responses, boot-ups or heartbeats, except two
+serial numbers (1018h:4) in response to one read. Frames that two nodes send at the same time are one frame on a bus if
+their bits are the same, else error frames."""
 
 from __future__ import annotations
 
@@ -72,8 +69,6 @@ class Duplicate(NamedTuple):
 
 
 class _Node:
-    """What was seen of one node-id since its boot-up."""
-
     def __init__(self) -> None:
         self.waiting: dict[bytes, int] = {}  # by request: responses that are due; -1 after a second one
         self.answers: dict[bytes, tuple[bytes, int]] = {}  # by request: the last response and its time
@@ -137,11 +132,8 @@ class _Node:
         return self.changes >= _STATE_CHANGES or (len(self.beats) == _BEATS and self._two_in_a_period())
 
     def sample(self, name: str, counter: int, data: bytes, modulus: int) -> bool:
-        """Take a sample; return whether it is certain that two nodes send them.
-
-        Of two nodes that count on at each SYNC, every second counter is one that was there before, and each is the
-        next one of the last but one.
-        """
+        """Take a sample; return whether it is certain that two nodes send them. Of two nodes that count on at each
+        SYNC, every second counter is one that was there before, and each is the next one of the last but one."""
         previous, last, before, back, on = self.pdos.get(name, (counter, counter, data, 0, 0))
         step = (counter - last) % modulus
         if 0 < step <= modulus // 2:
@@ -190,10 +182,8 @@ def services(frames: FrameArray) -> FrameArray:
 
 
 class DuplicateNodes:
-    """Detect duplicates on one bus. ``found``: by node-id, until its next boot-up. For any thread.
-
-    Requests of this host are frames too: give them to ``frame`` before they are sent.
-    """
+    """Detect duplicates on one bus. ``found``: by node-id, until its next boot-up. For any thread. Requests of this
+    host are frames too: give them to ``frame`` before they are sent."""
 
     def __init__(self) -> None:
         self.found: dict[int, Duplicate] = {}
@@ -282,7 +272,6 @@ class DuplicateNodes:
         return node.answered, node.doubled
 
     def _commanded(self, data: bytes) -> None:
-        """An NMT command: each node changes its state, or boots, once."""
         if len(data) != 2:
             return
         if data[1]:

@@ -33,10 +33,8 @@ _MOST_BITS = 64
 
 
 def pdo_message(found: Description, values: Values, name: str, index: int) -> tuple[int, Message] | None:
-    """Return the identifier and the layout of the PDO with the communication parameters ``index``; None if invalid.
-
-    A mapped string or DOMAIN, a data type as a placeholder, and an entry that the file does not have are gaps.
-    """
+    """Return the identifier and the layout of the PDO with the communication parameters ``index``; None if invalid. A
+    mapped string or DOMAIN, a data type as a placeholder, and an entry that the file does not have are gaps."""
     cob_id = values.get((index, 1))
     if cob_id is None or cob_id & (codes.COB_ID_INVALID | codes.EXTENDED_COB_ID):
         return None
@@ -75,11 +73,9 @@ _STORED_GROUPS = (1, 2)  # sub-indices of 1010h and 1011h with the communication
 
 
 class EdsDecoder(Decoder):
-    """Decode the PDOs of (node-id, EDS or DCF), from the layout after power-on.
-
-    ``changes`` finds the confirmed SDO writes of PDO parameters in the frames, and boot-ups, after which the
-    stored parameters apply: those at the last write of "save", otherwise those of the file.
-    """
+    """Decode the PDOs of (node-id, EDS or DCF), from the layout after power-on. ``changes`` finds the confirmed SDO
+    writes of PDO parameters in the frames, and boot-ups, after which the stored parameters apply: those at the last
+    write of "save", otherwise those of the file."""
 
     def __init__(self, files: Iterable[tuple[int, str]]) -> None:
         """Raises InputError as ``read_eds``."""
@@ -100,7 +96,6 @@ class EdsDecoder(Decoder):
         return found
 
     def _services(self, frames: FrameArray) -> Iterator[tuple[int, int, tuple[int, bytes]]]:
-        """Yield (row, node-id, (function code, data)) of SDO frames and of boot-ups."""
         can_id = frames["can_id"]
         node = can_id & codes.NODE_ID_MASK
         kind = can_id & ~np.uint32(codes.NODE_ID_MASK)
@@ -113,8 +108,6 @@ class EdsDecoder(Decoder):
 
 
 class _Device:
-    """The PDO parameters of one node, as far as they are known."""
-
     def __init__(self, described: Description) -> None:
         self._described = described
         self._initial = {
@@ -157,7 +150,6 @@ class _Device:
         self._known = now
 
     def _apply(self, index: int, sub: int, content: bytes) -> bool:
-        """Take a confirmed write; return whether it is one of a PDO parameter."""
         if index in (communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS) and sub in _STORED_GROUPS:
             self._stored = dict(self._values if index == communication.STORE_PARAMETERS else self._initial)
         if not communication.RPDO <= index <= communication.LAST_TPDO_MAPPING:

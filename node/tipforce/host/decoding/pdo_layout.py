@@ -90,12 +90,9 @@ def node_layout(sdo: SdoChannel) -> NodeLayout:
 
 
 def dbc_messages(path: str | Path) -> dict[Key, tuple[int, Message]]:
-    """Return the messages of a DBC (or another database that cantools reads), for ``Decoder.of_messages``.
-
-    A message named as in tipforce's own DBC, TIP05_Contact, has the key (5, "Contact"); any other (0, its name).
-    A raw value that the file names "unknown" becomes NaN. Multiplexed signals and containers are skipped.
-    Raises InputError for a file that can't be read, and for signals beyond the eighth byte.
-    """
+    """Return the messages of a DBC (or what cantools reads), for ``Decoder.of_messages``. One named as in tipforce's
+    own DBC, TIP05_Contact, has the key (5, "Contact"); any other (0, its name). A value named "unknown" becomes NaN.
+    Multiplexed signals and containers are skipped. Raises InputError for the file, and signals beyond byte eight."""
     import cantools
 
     try:
@@ -177,11 +174,9 @@ _SUFFIXES = ("_N", "_deg", "_ue", "_degC")
 
 @dataclass(frozen=True, slots=True)
 class Layouts:
-    """A description that can be sent to another process. ``nodes`` None means all of them.
-
-    ``pdos``: by node-id the PDOs that differ from the default, as (message name, can_id, mapping). ``eds``: (node-id,
-    EDS or DCF) of devices of any manufacturer; then only their PDOs are decoded.
-    """
+    """A description that can be sent to another process. ``nodes`` None means all of them. ``pdos``: by node-id the
+    PDOs that differ from the default, as (message name, can_id, mapping). ``eds``: (node-id, EDS or DCF) of devices of
+    any manufacturer; then only their PDOs are decoded."""
 
     gauges: int = 3
     nodes: tuple[int, ...] | None = None
@@ -190,10 +185,8 @@ class Layouts:
     eds: EdsFiles = ()
 
     def decoder(self, services: bool = False) -> Decoder:
-        """Return a separate decoder for each bus. Raises InputError for incompatible layouts.
-
-        ``services``: of EMCY and heartbeats too (``health``), except for a DBC.
-        """
+        """Return a separate decoder for each bus. Raises InputError for incompatible layouts. ``services``: of EMCY and
+        heartbeats too (``health``), except for a DBC."""
         if self.dbc is not None:
             wanted = None if self.nodes is None else {*self.nodes}
             found = dbc_messages(self.dbc)

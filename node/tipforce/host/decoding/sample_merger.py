@@ -61,11 +61,8 @@ _PLAIN = f"V{FRAME.itemsize}"  # copied as a whole, not field by field
 
 
 class SampleMerger:
-    """Convert each block to a table. Frames of an incomplete row are kept for the next block.
-
-    ``channels`` are the names of the frames' channels and may grow. ``signals`` None means all. ``tally`` counts the
-    returned samples.
-    """
+    """Convert each block to a table. Frames of an incomplete row are kept for the next block. ``channels`` are the
+    names of the frames' channels and may grow. ``signals`` None means all. ``tally`` counts the returned samples."""
 
     def __init__(
         self,
@@ -109,7 +106,6 @@ class SampleMerger:
             start = end
 
     def _changes(self, frames: FrameArray) -> dict[int, list[tuple[Decoder, Change]]]:
-        """Return the changes of all channels by their row."""
         changes: dict[int, list[tuple[Decoder, Change]]] = {}
         for number in occurring(frames["channel"]) if self._follows else ():
             rows = np.flatnonzero(frames["channel"] == number)
@@ -153,7 +149,6 @@ class SampleMerger:
         return self._decoders[number]
 
     def _slots_of(self, block: FrameArray) -> npt.NDArray[np.uint32]:
-        """Return the slot of each frame, after those of new channels and changed layouts were made."""
         channels = occurring(block["channel"])
         if self._changed or not {*channels} <= self._slots.plans.keys():
             self._changed = False
@@ -253,8 +248,6 @@ class _Values:
 
 
 class _Group:
-    """A message that nodes have alike, on any channel."""
-
     def __init__(self, message: Message, signals: tuple[Signal, ...]) -> None:
         self.message = message
         plain = counter_place(signals)[0] >= 0  # then `join` reads it

@@ -1,11 +1,7 @@
-"""The PDOs of one latch become a sample of their node: the one rule for a finger, a page and a log.
-
-A node sends the PDOs of one SYNC in their order and with the counter of one latched sample. So a PDO that follows SYNC
-continues the node's sample if the counter is the same, the PDO a later one and the gap small. An event-driven PDO
+"""The PDOs of one latch become a sample of their node: the one rule for a finger, a page and a log. A PDO that follows
+SYNC continues the node's sample if the counter is the same, the PDO a later one and the gap small. An event-driven PDO
 carries the counter of the last latch: it joins the node's last sample if that has the same counter, and no PDO of its
-kind yet. Every other PDO is a sample of its own. The rule uses only pairs of frames, so the samples do not depend on
-how frames are cut into calls.
-"""
+kind. Every other PDO is a sample of its own. The rule uses pairs of frames: samples do not depend on calls."""
 
 from __future__ import annotations
 
@@ -103,10 +99,7 @@ class SampleRule:
 
 
 class SlotCount(NamedTuple):
-    """Of a slot that occurs: its frames in the rows, their first and last counter, and the samples lost between them.
-
-    The counters are -1 where they cannot show losses.
-    """
+    """Of a slot that occurs: its frames, first and last counter (-1: cannot show losses), samples lost between them."""
 
     slot: int
     frames: int
@@ -117,13 +110,9 @@ class SlotCount(NamedTuple):
 
 class Joined(NamedTuple):
     """The rows that no later frame can join, in the order of their first frames, and the frames of the others.
-
-    ``order`` (k,): indices of the frames in the rows, group by group; ``row`` (k,): the row of each. ``first`` (r,):
-    index of the first frame of each row; ``counter`` (r,): of that. ``held`` (h,): indices of the frames for the next
-    call, ``held_number`` (h,) their numbers, and ``number`` that of the next decoded frame. ``spans``: (group, start
-    and end in ``order``) of the groups that have frames in the rows, ascending. ``counts``: of the slots that occur,
-    ascending. ``short``: (slot, frames that were too short).
-    """
+    ``order`` (k,): indices of the frames, group by group; ``row`` (k,): of each. ``first``, ``counter`` (r,): of a
+    row's first frame. ``held``, ``held_number`` (h,): frames for the next call, ``number`` the next one. ``spans``:
+    (group, start and end in ``order``), ``counts``: of slots, both ascending. ``short``: (slot, frames too short)."""
 
     order: Ints
     row: Ints
@@ -141,11 +130,8 @@ def join(
     frames: FrameArray, slots: npt.NDArray[np.uint32], layouts: npt.NDArray[np.void], held_number: Ints, number: int,
     *, last: bool,
 ) -> Joined:  # fmt: skip
-    """Join frames, FRAME (n,), whose messages are ``slots`` (n,) of ``layouts``, SLOT (m,), 0 for none.
-
-    ``held_number`` (h,) are the numbers of the first decoded frames, ``number`` that of the next one; ``last``: all
-    rows are complete.
-    """
+    """Join frames, FRAME (n,), whose messages are ``slots`` (n,) of ``layouts``, SLOT (m,), 0 for none. ``held_number``
+    (h,) are the numbers of the first decoded frames, ``number`` the next; ``last``: all rows are complete."""
     frames = np.ascontiguousarray(frames)
     work = np.empty((6, len(frames)), dtype=np.int64)
     body = join_here if core is None else core.join

@@ -30,10 +30,8 @@ _GAUGE, _NUMBER, _FLAG, _COUNT = 20, 40, 60, 80
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: ``kind`` is "real", "flag" or "integer".
-
-    ``digits`` after the point are its resolution (None: as many as needed). ``rank`` orders columns.
-    """
+    """One column: ``kind`` is "real", "flag" or "integer". ``digits`` after the point are its resolution (None: as many
+    as needed). ``rank`` orders columns."""
 
     name: str
     signal: str
@@ -50,13 +48,10 @@ class Column:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """k rows, each a sample of one node, in the order of their first frames.
-
-    ``t_ns`` (k,) receive time of the first frame; ``key`` (k,) channel and node; ``counter`` (k,) of the sample, or
-    NO_COUNTER; ``cyclic`` (k,): whether it came with a PDO that follows SYNC. ``values`` by column name, (k,) each:
-    real float64 with NaN for missing, flag int8 with NO_FLAG, integer int64 with NO_INTEGER.
-    ``absent``: by column name, where no frame carried it; columns present in all rows are omitted.
-    """
+    """k rows, each a sample of one node, in the order of their first frames. (k,) each: ``t_ns`` of the first frame;
+    ``key`` channel and node; ``counter`` or NO_COUNTER; ``cyclic``: with a PDO that follows SYNC; ``values`` by column
+    name: real float64 with NaN for missing, flag int8 with NO_FLAG, integer int64 with NO_INTEGER. ``absent``: by
+    column name, where no frame carried it, if anywhere."""
 
     t_ns: npt.NDArray[np.int64]
     key: npt.NDArray[np.uint16]
@@ -197,10 +192,8 @@ class Layout:
         self._bytes = places[-1]
 
     def columns(self, words: Words, row: npt.NDArray[np.int64] = _IN_ORDER) -> Columns:
-        """Return each signal (k,) from the eight data bytes (k,) as one little-endian number.
-
-        ``row`` (k,): the place of each in the columns, each once; by default in their order.
-        """
+        """Return each signal (k,) from the eight data bytes (k,) as one little-endian number. ``row`` (k,): the place
+        of each in the columns, each once; by default in their order."""
         memory = np.empty(len(words) * self._bytes, dtype=np.uint8)
         columns = Columns(self, memory, slice(0, len(words)), len(words))
         if core is not None and self.names:

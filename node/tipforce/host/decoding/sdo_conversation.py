@@ -25,10 +25,7 @@ def fingertip_names(gauges: int = 3) -> Describe:
 
 
 def eds_names(files: Iterable[tuple[int, str]], otherwise: Describe) -> Describe:
-    """Return the names of nodes by their EDS or DCF, (node-id, file); ``otherwise`` for all other nodes.
-
-    Raises InputError for a file that is no EDS.
-    """
+    """Return names by (node-id, EDS or DCF), else ``otherwise``. Raises InputError for a file that is no EDS."""
     from canopen_device.eds.reader import read_eds
 
     known = {node_id: read_eds(path, node_id) for node_id, path in files}
@@ -45,10 +42,8 @@ def eds_names(files: Iterable[tuple[int, str]], otherwise: Describe) -> Describe
 
 
 class SdoConversation:
-    """The transfer with one node. Values of segmented and block transfers are shown when they are complete.
-
-    ``written`` is (index, sub-index, content) of a download that the last ``response`` confirms, otherwise None.
-    """
+    """The transfer with one node. Values of segmented and block transfers are shown when they are complete. ``written``
+    is (index, sub-index, content) of a download that the last ``response`` confirms, otherwise None."""
 
     def __init__(self, node_id: int, describe: Describe) -> None:
         self._node_id = node_id

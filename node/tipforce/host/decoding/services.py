@@ -1,8 +1,6 @@
 """The CANopen services besides PDOs as text: NMT, SYNC, TIME, EMCY, SDO, heartbeat, LSS; frames in, records out.
-
 ``tipforce dump`` prints them, live and from logs. ``BusEvents`` keeps the EMCYs and the changes of NMT states, for
-``tipforce decode``. Identifiers are those of the predefined connection set (CiA 301, 7.3.5).
-"""
+``tipforce decode``. Identifiers are those of the predefined connection set (CiA 301, 7.3.5)."""
 
 from __future__ import annotations
 
@@ -36,10 +34,8 @@ class Service(NamedTuple):
 
 
 class BusEvent(NamedTuple):
-    """An EMCY, a change of an NMT state or of the calibration, or two nodes with one node-id.
-
-    ``kind``: "emcy", "emcy_reset", "boot_up", "state", "calibration" or "duplicate".
-    """
+    """An EMCY, a change of an NMT state or of the calibration, or two nodes with one node-id. ``kind``: "emcy",
+    "emcy_reset", "boot_up", "state", "calibration" or "duplicate"."""
 
     t_ns: int
     channel: str
@@ -58,10 +54,8 @@ class Services:
         self._conversations: dict[tuple[int, int], SdoConversation] = {}
 
     def describe(self, frames: FrameArray, channel: npt.NDArray[np.integer[Any]] | None = None) -> Iterator[Service]:
-        """Yield the services among FRAME (n,), in order. PDOs, error frames and 29-bit frames are left out.
-
-        ``channel`` (n,): numbers of the buses, if they are not those in ``frames``.
-        """
+        """Yield the services among FRAME (n,), in order. PDOs, error frames and 29-bit frames are left out. ``channel``
+        (n,): numbers of the buses, if they are not those in ``frames``."""
         can_id = frames["can_id"]
         rows = np.flatnonzero(
             (can_id < codes.TPDO_BASES[0])
@@ -104,10 +98,8 @@ class Services:
 
 
 class BusEvents:
-    """Collect the events of ``node_ids`` (None: all) in the order of a recording.
-
-    By channel and node-id, ``states``: the last NMT state; ``calibrations``: the last CRC-32 read from 2103h:3.
-    """
+    """Collect the events of ``node_ids`` (None: all) in the order of a recording. By channel and node-id, ``states``:
+    the last NMT state; ``calibrations``: the last CRC-32 read from 2103h:3."""
 
     def __init__(self, node_ids: Iterable[int] | None = None) -> None:
         self._node_ids = None if node_ids is None else frozenset(node_ids)

@@ -65,8 +65,6 @@ class HandPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 
 class _Content(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The keys of a file."""
-
     finger: tuple[FingerPlan, ...]
     hand: HandPlan = HandPlan()
     bus: dict[str, Any] = {}

@@ -24,9 +24,7 @@ _new = object.__new__
 
 class Collector(RowAssembler):
     """See RowAssembler; ``trust`` sees every frame that is neither an answer nor a SYNC, in the order of the bus.
-
-    ``others``: the last of these frames, for the caller to take.
-    """
+    ``others``: the last of these frames, for the caller to take."""
 
     def __init__(
         self, node_ids: Sequence[int], messages: Sequence[str] = ("Contact",), gauges: int = 3,
@@ -45,10 +43,8 @@ class Collector(RowAssembler):
 
 
 class HandRow(Mapping[str, Contact]):
-    """The contacts of all fingers at one SYNC: ``row["thumb"]``, or by node-id ``row[1]``.
-
-    A finger without an answer is included: its ``status`` is NO_ANSWER and its values are NaN.
-    """
+    """The contacts of all fingers at one SYNC: ``row["thumb"]``, or by node-id ``row[1]``. A finger without an answer
+    is included: its ``status`` is NO_ANSWER and its values are NaN."""
 
     __slots__ = ("_contacts", "_made", "_row", "number", "pairing", "t_s")
     number: int
@@ -127,11 +123,9 @@ _STEP_S = 0.2  # a wait without end could not be interrupted on Windows
 
 
 class HandRows(Iterator[T], AsyncIterator[T]):
-    """Rows for one consumer, from its creation on, as ``convert`` makes them of each block; see ``Hand.rows``.
-
-    The oldest are dropped beyond MAX_ROWS. They end with the delivery, or after ``timeout_s`` without rows (None:
-    never; not with ``async for``).
-    """
+    """Rows for one consumer, from its creation on, as ``convert`` makes them of each block; see ``Hand.rows``. The
+    oldest are dropped beyond MAX_ROWS. They end with the delivery, or after ``timeout_s`` without rows (None: never;
+    not with ``async for``)."""
 
     def __init__(self, delivery: Delivery, timeout_s: float | None, convert: Callable[[Rows], Iterable[T]]) -> None:
         self._delivery, self._timeout_s, self._convert = delivery, timeout_s, convert

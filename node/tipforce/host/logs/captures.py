@@ -1,10 +1,6 @@
-"""Read CAN frames from captures: pcap and pcapng of SocketCAN (Wireshark, tcpdump, dumpcap), and MCAP (ROS 2).
-
-Link types: 227 (SocketCAN: CAN ID in network byte order, length, then the data) and Linux' cooked captures of the
-pseudo interface "any", 113 and 276, of the protocols 000Ch (CAN) and 000Dh (CAN FD). Formats as in the drafts of the
-IETF opsawg: pcap file format, PCAP Next Generation. In MCAP: can_msgs/Frame, as ros2_socketcan and `tipforce decode`
-write it.
-"""
+"""Read CAN frames from captures: pcap and pcapng of SocketCAN (drafts of the IETF opsawg), and MCAP (can_msgs/Frame, as
+ros2_socketcan and `tipforce decode` write it). Link types: 227 (SocketCAN: CAN ID in network byte order, length, data)
+and Linux' cooked captures of the interface "any", 113 and 276, of the protocols 000Ch (CAN) and 000Dh (CAN FD)."""
 
 from __future__ import annotations
 
@@ -47,10 +43,8 @@ _Packet = tuple[int, _Interface, bytes]  # t_ns
 
 
 def pcap_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
-    """Yield blocks of frames. Packets that are not CAN, and a truncated file, are noted as bad.
-
-    Raises InputError for a file that cannot be opened for reading.
-    """
+    """Yield blocks of frames. Packets that are not CAN, and a truncated file, are noted as bad. Raises InputError for a
+    file that cannot be opened for reading."""
     with BufferedReader(open_file(path)) as file:
         magic = int.from_bytes(file.peek(4)[:4], "little")
         order = "<" if magic in _UNIT_OF_MAGIC else ">"
@@ -59,7 +53,6 @@ def pcap_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
 
 
 def _packet_row(packet: _Packet, path: Path, notes: LogNotes) -> bytes:
-    """Return a packet as the bytes of a FRAME; empty for CAN FD, and for what is not a CAN frame, which is noted."""
     t_ns, interface, data = packet
     is_fd, is_can = False, interface.link == SOCKETCAN
     if interface.link in {COOKED, COOKED_2}:
@@ -156,10 +149,8 @@ _CDR_HEADER = 4
 
 
 def mcap_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
-    """Yield blocks of frames in the order of the file. A damaged file is noted as bad.
-
-    Raises EnvironmentLackError without the package mcap, LogError for a file that has no CAN frames.
-    """
+    """Yield blocks of frames in the order of the file. A damaged file is noted as bad. Raises EnvironmentLackError
+    without the package mcap, LogError for a file that has no CAN frames."""
     try:
         from mcap.stream_reader import StreamReader
     except ImportError:
@@ -210,7 +201,6 @@ def _unpacked(records: Iterable[Any], path: Path) -> Iterator[Any]:
 
 
 def _message_row(path: Path, notes: LogNotes, topic: str, log_time_ns: int, data: bytes) -> bytes:
-    """Return one FRAME. Raises struct.error and IndexError for a message that is too short."""
     order = data[1] & 1
     sec, nanosec, size = _HEAD[order].unpack_from(data, _CDR_HEADER)
     start = _CDR_HEADER + _HEAD[order].size

@@ -28,10 +28,8 @@ _COMPUTED = re.compile(r"\bAS\s*\(|\bVIRTUAL\b", re.IGNORECASE)
 
 
 def message_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
-    """Yield blocks of at most BLOCK_ROWS frames. A truncated log is noted as bad.
-
-    Raises LogError for a file that is not of the format in its name, EnvironmentLackError for a missing package.
-    """
+    """Yield blocks of at most BLOCK_ROWS frames. A truncated log is noted as bad. Raises LogError for a file that is
+    not of the format in its name, EnvironmentLackError for a missing package."""
     try:
         reader = message_reader(path)
     except NotImplementedError as error:  # python-can names the package

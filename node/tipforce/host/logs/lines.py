@@ -65,16 +65,12 @@ def never() -> bool:
 
 
 class LineBlocks:
-    """Yield blocks of whole lines as (text, begin, end): the lines are ``text[begin:end]``.
-
-    The memory is reused for the next block. The last line may lack its line end. A line of more than BLOCK_BYTES, and
-    truncated packed data, are noted as bad.
-    ``source`` None is stdin: it returns available data at once. ``follow`` waits for more at the end of a
-    file, and restarts a file that has become shorter. ``stop`` ends both where it returns True: a file at its end,
-    stdin after 0.5 s, in which what wrote to it can end too. ``live``: a consumer waits for each block. ``part`` of a
-    plain file: from its first byte to after its last (None: the end), both at line starts, as ``line_borders``
-    returns them.
-    """
+    """Yield blocks of whole lines as (text, begin, end), the lines ``text[begin:end]``, in memory that is reused. The
+    last line may lack its end. A line of more than BLOCK_BYTES, and truncated packed data, are noted as bad. ``source``
+    None is stdin: it returns available data at once. ``follow`` waits for more at the end of a file, and restarts a
+    file that has become shorter. ``stop`` ends both where it returns True: a file at its end, stdin after 0.5 s, in
+    which its writer can end too. ``live``: a consumer waits for each block. ``part`` of a plain file: first byte and
+    end (None: the file's), both of ``line_borders``."""
 
     def __init__(
         self, source: Path | None, notes: LogNotes, follow: bool = False, part: tuple[int, int | None] = (0, None),
@@ -146,11 +142,9 @@ class LineBlocks:
             yield storage, self._mark_bytes() if first else 0, filled
 
     def _mark_bytes(self) -> int:
-        """Return the length of a byte order mark at the start of the text."""
         return len(_BOM) if self._storage.startswith(_BOM) else 0
 
     def _read(self, filled: int) -> int:
-        """Append to the first ``filled`` bytes; 0 at the end."""
         with memoryview(self._storage) as view:
             while not self._waits or self._wait():
                 limit = BLOCK_BYTES
@@ -173,7 +167,6 @@ class LineBlocks:
             return 0
 
     def _wait(self) -> bool:
-        """Wait until stdin can be read, and return True; False where ``stop`` ends it."""
         while True:
             if self._end_s is None or not self._stop():
                 self._end_s = time.monotonic() + _LAST_S
@@ -189,10 +182,8 @@ class LineBlocks:
 
 
 def line_borders(path: Path, count: int, start: int = 0) -> list[int]:
-    """Return line starts that split a plain file into ``count`` parts of similar size, fewer if lines are long.
-
-    The first is ``start``, the last the size of the file. Raises InputError for a file that can't be opened.
-    """
+    """Return line starts that split a plain file into ``count`` parts of similar size, fewer if lines are long. The
+    first is ``start``, the last the size of the file. Raises InputError for a file that can't be opened."""
     with open_file(path) as file:
         size = os.fstat(file.fileno()).st_size
         borders = [start]

@@ -1,8 +1,5 @@
-"""Packed logs, unpacked with a bound: gzip and zstd as streams, the chunks of MCAP and the containers of BLF at once.
-
-A log of a few megabytes can unpack to terabytes. A real one has timestamps that differ: gzip makes it 5 to 15 times
-smaller, zstd up to 60 times.
-"""
+"""Packed logs, unpacked with a bound (megabytes can be terabytes): gzip and zstd as streams, the chunks of MCAP and the
+containers of BLF at once. A real log's timestamps differ: gzip saves a factor of 5 to 15, zstd up to 60."""
 
 from __future__ import annotations
 
@@ -43,10 +40,8 @@ class Expansion:
 
 
 def decompressed(file: FileIO, place: str) -> RawIOBase:
-    """Return ``file`` itself, or its content if it is gzip or zstd (by its first bytes, not by its name).
-
-    Reading raises LogError where it unpacks to more than ``Expansion`` allows.
-    """
+    """Return ``file`` itself, or its content if it is gzip or zstd (by its first bytes, not by its name). Reading
+    raises LogError where it unpacks to more than ``Expansion`` allows."""
     start = first_bytes(file)
     if start.startswith(_GZIP):
         return _Gzip(file, place)
@@ -61,10 +56,8 @@ def first_bytes(file: FileIO) -> bytes:
 
 
 def unpacked_chunk(place: str, kind: str, data: bytes) -> bytes:
-    """Return the content of one chunk, packed with "zlib", "zstd" or "lz4".
-
-    Raises LogError above MOST_CHUNK_BYTES, EnvironmentLackError without the library, else what the library raises.
-    """
+    """Return the content of one chunk, packed with "zlib", "zstd" or "lz4". Raises LogError above MOST_CHUNK_BYTES,
+    EnvironmentLackError without the library, else what the library raises."""
     found = bytearray()
     unpack = _unpacker(place, kind)
     for at in range(0, len(data), _STEP_BYTES):
@@ -92,8 +85,6 @@ def _unpacker(place: str, kind: str) -> Any:
 
 
 class _Source(RawIOBase):
-    """Bytes made of those of ``file``, which it closes."""
-
     def __init__(self, file: FileIO) -> None:
         super().__init__()
         self._file = file
