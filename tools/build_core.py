@@ -1,7 +1,5 @@
 """Compile node/tipforce/_core.c beside its source: a build hook of hatchling, and by hand `python tools/build_core.py`.
-
-Without a compiler, or Python's headers, nothing is built, and tipforce is the same, slower.
-"""
+Without a compiler, or Python's headers, nothing is built, and tipforce is the same, slower."""
 
 import sys
 import sysconfig

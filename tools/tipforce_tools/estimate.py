@@ -73,7 +73,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write(stream: TextIO, rows: Iterator[tuple[int, list[float], str]], as_json: bool) -> None:
-    """Write CSV or JSON lines; NaN is an empty cell or null."""
     if as_json:
         for line, values, status in rows:
             stream.write(common.json_line(dict(zip(COLUMNS, (line, *values, status), strict=True))) + "\n")

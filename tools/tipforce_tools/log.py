@@ -51,9 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Record until an end condition; return 0, or 130 after a signal. The file holds what was received until then.
-
-    Raises InputError for a target or a file, EnvironmentLackError for a bus, WriteError for a full disk.
-    """
+    Raises InputError for a target or a file, EnvironmentLackError for a bus, WriteError for a full disk."""
     from tipforce.host.live.targets import split_targets
     from tipforce.host.logs.recorder import Recorder
 

@@ -101,7 +101,6 @@ def _check(args: argparse.Namespace, is_hand: bool) -> None:
 
 
 def _feed(args: argparse.Namespace, hand_file: Path | None) -> Feed:
-    """Return what to publish from."""
     if args.source is None or args.no_bring_up:
         return listening(args, hand_file)[0]
     if hand_file is not None:

@@ -93,7 +93,6 @@ def _print_fingers(title: str, outcome: Outcome) -> None:
 
 
 def _print_checks(outcome: Outcome) -> None:
-    """Print a row for each expectation and verdict, with its nodes; then the verdict of all."""
     rows: dict[tuple[str, str], list[Check]] = {}
     for check in outcome.checks:
         rows.setdefault((_verdict(check), check.expected), []).append(check)

@@ -1,7 +1,7 @@
-"""One observation of n fingers, or a recording of them on one time axis: values, uncertainties and a validity mask, (n,
-3) each, for P, phi and theta. ``values`` and ``uncertainties`` are float32, P in newtons, angles in radians; ``valid``
-is int8. An unknown value, or one beyond the space, is 0 with ``valid`` 0 and the largest uncertainty of the space; so
-is the uncertainty of a value where that alone is not known."""
+"""One observation of n fingers, or a recording of them on one time axis: values, uncertainties and a validity mask,
+(n, 3) each, for P, phi and theta. ``values`` and ``uncertainties`` are float32, P in newtons, angles in radians;
+``valid`` is int8. An unknown value, or one beyond the space, is 0 with ``valid`` 0 and the largest uncertainty of the
+space; so is the uncertainty of a value where that alone is not known."""
 
 from __future__ import annotations
 

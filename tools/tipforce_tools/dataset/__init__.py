@@ -96,7 +96,6 @@ def record(store: Store, manifest: Manifest, wrong: dict[str, str]) -> dict[str,
 
 
 def _nodes(manifest: Manifest) -> dict[tuple[str, int], tuple[int, int, int, int]]:
-    """Return by hand and node-id: rows, days, first and last time in nanoseconds."""
     found: dict[tuple[str, int], tuple[int, set[str], int, int]] = {}
     for file in manifest.files():
         hand, date = (text.split("=", 1)[1] for text in file.path.split("/")[1:3])
@@ -106,7 +105,6 @@ def _nodes(manifest: Manifest) -> dict[tuple[str, int], tuple[int, int, int, int
 
 
 def _calibrations(manifest: Manifest) -> list[tuple[tuple[str, int], list[tuple[int, int]]]]:
-    """Return by channel and node the times and CRC-32 of its calibrations."""
     found: dict[tuple[str, int], list[tuple[int, int]]] = {}
     told = (one for part in manifest.parts for one in part.calibrations)
     for channel, node, crc, t_ns in sorted(told, key=lambda one: one[3]):

@@ -1,8 +1,6 @@
-"""`tipforce dataset sql DIR QUERY`, with DuckDB: views of samples, events, parts and logs, over the manifest's files.
-
-A query reads these files and nothing else: it is one SELECT (COPY could write what a query may open), DuckDB opens no
-other file, loads no extension, sees no variable of Python and no setting can be changed, and its memory is limited.
-"""
+"""`tipforce dataset sql DIR QUERY`, with DuckDB: views of samples, events, parts and logs, over the manifest's files. A
+query reads these files and nothing else: it is one SELECT (COPY could write what a query may open), DuckDB opens no
+other file, loads no extension, sees no variable of Python and no setting can be changed, and its memory is limited."""
 
 from __future__ import annotations
 
@@ -90,7 +88,6 @@ def _reason(duckdb: Any, error: BaseException) -> str:
 
 
 def _select(duckdb: Any, connection: Any, text: str) -> str:
-    """Return the statement of a query. Raises InputError unless it is one SELECT."""
     statements = connection.extract_statements(text)
     try:
         refused = [one.type for one in statements] != [duckdb.StatementType.SELECT]

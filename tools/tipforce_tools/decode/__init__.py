@@ -45,10 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Decode; return 0, or 1 for a bad line with --strict.
-
-    Raises InputError for unusable input, EnvironmentLackError for a missing package or a node that does not respond.
-    """
+    """Decode; return 0, or 1 for a bad line with --strict. Raises InputError for unusable input, EnvironmentLackError
+    for a missing package or a node that does not respond."""
     from tipforce_tools.cli.main import terminate_as_interrupt
 
     collects = gc.isenabled()

@@ -146,9 +146,7 @@ class DatasetRun:
 
     def add(self, names: Sequence[str]) -> Generator[Written]:
         """Add what the dataset does not have, and what was removed from it; yield each part before it is committed.
-
-        Raises InputError, WriteError, OSError; what was committed stays. What ends the iteration ends the run.
-        """
+        Raises InputError, WriteError, OSError; what was committed stays. What ends the iteration ends the run."""
         with run_lock(self.store, self._token):
             self.manifest = read_manifest(self.store) or _new(self.store)
             remove_replaced(self.store, self.manifest)
@@ -156,8 +154,6 @@ class DatasetRun:
             for chains in (self._repairs, self._chains):
                 for chain in list(chains(names)):
                     yield from self._add_chain(chain)
-
-    # --- what is to be done -----------------------------------------------------------------------------------
 
     def _chains(self, names: Sequence[str]) -> Iterator[_Chain]:
         chain: _Chain | None = None
@@ -246,15 +242,12 @@ class DatasetRun:
         return self._again(source)
 
     def _again(self, source: Source) -> _Chain:
-        """Return a chain that begins with the last part of a log."""
         start = source.last_part_start
         replaced = [part.id for part in self.manifest.parts if part.source == source.id and part.start >= start]
         return _Chain(source.before_last_part, [_Log(source, start, replaced)])
 
     def _follower(self, source: Source) -> Source | None:
         return next((one for one in self.manifest.sources if one.after == source.id), None)
-
-    # --- the work ---------------------------------------------------------------------------------------------
 
     def _add_chain(self, chain: _Chain) -> Iterator[Written]:
         sink = DatasetSink(self.store.name, self._token, self._hand)
@@ -292,7 +285,6 @@ class DatasetRun:
                 self._commit()
 
     def _take(self, written: Written, log: _Log, name: str, before: State, last: bool) -> None:
-        """Note a part as one to be committed."""
         assert written.state is not None
         piece = written.piece
         end = log.size if piece.end is None else piece.end
@@ -319,7 +311,6 @@ class DatasetRun:
         self.added += 1
 
     def _commit(self) -> None:
-        """Commit what is noted."""
         began = time.monotonic()
         change, self._change = self._change, Change()
         self._separate(change)

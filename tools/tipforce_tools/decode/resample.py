@@ -1,7 +1,5 @@
-"""The steps on tables between the logs and the output: contact by a calibration, and a uniform grid.
-
-A grid has the mean of each interval, per node; angles by the mean of their directions.
-"""
+"""The steps on tables between the logs and the output: contact by a calibration, and a uniform grid. A grid has the
+mean of each interval, per node; angles by the mean of their directions."""
 
 from __future__ import annotations
 
@@ -50,12 +48,9 @@ class _Groups(NamedTuple):
 
 
 class Resampler:
-    """Make tables with a row per interval from a node's first sample to its last.
-
-    An interval is 1 / ``rate_hz`` long and begins at a multiple of that since the epoch; ``t_ns`` is its start.
-    `count` is its number of samples, `n_P_N` the number of values in the mean. No value: NaN and 0. A flag becomes
-    the share of samples in which it was set.
-    """
+    """Make tables with a row per interval of 1 / ``rate_hz`` from a node's first sample to its last; ``t_ns`` is its
+    start, a multiple of that since the epoch, `count` its samples, `n_P_N` the values in the mean. No value: NaN and 0.
+    A flag becomes the share of samples in which it was set."""
 
     def __init__(self, rate_hz: float, asked: Sequence[str] | None = None) -> None:
         """``asked``: signals in the order of the columns. Raises InputError for a rate that is not above 0."""
@@ -81,7 +76,6 @@ class Resampler:
         yield from self._rows(self._open, np.ones(len(self._open.key), dtype=np.bool_))
 
     def _grouped(self, table: Table) -> _Groups:
-        """Return each sample as a separate interval."""
         interval = self._intervals(table.t_ns)
         if len(self._open.key):  # a late sample counts in the interval that is still open
             place = np.minimum(np.searchsorted(self._open.key, table.key), len(self._open.key) - 1)
@@ -154,7 +148,6 @@ class Resampler:
 
 
 def _summed(groups: _Groups) -> _Groups:
-    """Sort by node and time, and add up those of the same interval."""
     order = np.lexsort((groups.interval, groups.key))
     key, interval = groups.key[order], groups.interval[order]
     starts = np.flatnonzero(np.append(True, (key[1:] != key[:-1]) | (interval[1:] != interval[:-1])))
@@ -201,10 +194,8 @@ def _same(tables: Iterable[Table]) -> Iterable[Table]:
 
 
 def steps_of(args: Namespace) -> tuple[Layouts, tuple[str, ...] | None, Step, Step]:
-    """Return the layouts and signals to read, and two steps: contact by a calibration, and a grid. Raises InputError.
-
-    A step that is not asked for returns the tables as they are.
-    """
+    """Return the layouts and signals to read, and two steps: contact by a calibration, and a grid. Raises InputError. A
+    step that is not asked for returns the tables as they are."""
     names = log_choice.names_of(args.signals)
     layouts, calibrations = log_choice.layouts(args)
     contact: Step = _same

@@ -218,10 +218,8 @@ def events_path(output: str) -> Path:
 
 
 def write_events(output: str, events: Sequence[BusEvent]) -> None:
-    """Write the events beside an output as CSV; without events only if an earlier file of events is there.
-
-    Raises InputError for a file of another kind, WriteError.
-    """
+    """Write the events beside an output as CSV; without events only if an earlier file of events is there. Raises
+    InputError for a file of another kind, WriteError."""
     path = events_path(output)
     if events or path.exists():
         text = io.StringIO()

@@ -114,8 +114,8 @@ class _Machine:
         return write_end
 
     def close(self) -> None:
-        """End what still runs."""
         # Helper processes of the kernel and the programs inside belong to the group that start_new_session created.
+        """End what still runs."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()

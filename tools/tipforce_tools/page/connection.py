@@ -129,7 +129,6 @@ def _scale(model: Model) -> dict[str, float]:
 
 
 def _nice(value: float) -> float:
-    """Return 1, 2 or 5 times a power of ten, at least ``value``."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(float(k * power) for k in (1, 2, 5, 10) if k * power >= value * (1 - 1e-6))
 
@@ -163,10 +162,8 @@ class Pulse:
 
 
 class Page:
-    """Serve the requests of one page. A page that reads slowly has one message in transit and delays only itself.
-
-    Its next message holds everything that it missed (messages.Cursor). ``read_only``: why it must not write.
-    """
+    """Serve the requests of one page. A page that reads slowly has one message in transit and delays only itself. Its
+    next message holds everything that it missed (messages.Cursor). ``read_only``: why it must not write."""
 
     def __init__(self, socket: ServerConnection, source: Source, pulse: Pulse, read_only: str) -> None:
         self.socket, self._source, self._pulse, self._read_only = socket, source, pulse, read_only

@@ -3,8 +3,7 @@
 - Host must name this server: another name that resolves to 127.0.0.1 (DNS rebinding) is refused.
 - Origin, if a browser sends it, must be this page: browsers send it with every WebSocket handshake.
 - A WebSocket may write if writes are allowed and its handshake had an Origin.
-- Beyond loopback every request needs the access token.
-"""
+- Beyond loopback every request needs the access token."""
 
 from __future__ import annotations
 

@@ -28,11 +28,8 @@ _PAUSE_S = 0.002
 
 
 class Cursor:
-    """Position of one browser in the stream: the present, or a moment that advances from ``start_ns`` at ``speed``.
-
-    There is no queue: a late browser gets one message with all missed rows, as envelopes that keep the extremes; so at
-    most one message is in transit.
-    """
+    """Position of one browser in the stream: the present, or a moment that advances from ``start_ns`` at ``speed``. A
+    late browser gets all missed rows as envelopes, in one message: there is no queue."""
 
     def __init__(
         self, model: Model, bin_ns: int, start_ns: int | None = None, speed: float = 1.0, after_event: int = 0,
@@ -122,10 +119,7 @@ MM = 1e3
 
 def drawing(finger: Finger, gauges: int) -> dict[str, Any]:
     """Return the drawing of a finger: lengths in mm, x to the right, y from the axis of the horizontal beam upwards.
-
-    ``faces`` holds the strain per newton of F1, F2, F3 at both ends of each face of each beam, in microstrain:
-    between the ends the strain is linear.
-    """
+    ``faces``: microstrain per newton of F1, F2, F3 at both ends of each face of each beam, linear between."""
     geometry = finger.geometry
     return {
         "node_id": finger.node_id, "label": finger.label, "layout": finger.layout,

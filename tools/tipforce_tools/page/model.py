@@ -1,6 +1,5 @@
 """The model of a page: the last minutes, or a whole log, of all fingers, with events and counters, as one thread writes
-and any number of browsers read them: pictures of a moment, envelopes of any part.
-"""
+and any number of browsers read them: pictures of a moment, envelopes of any part."""
 
 from __future__ import annotations
 
@@ -66,11 +65,9 @@ class Picture(msgspec.Struct, omit_defaults=True, rename={"states": "fingers"}):
 
 
 class Model:
-    """Thread-safe. ``live`` is False for a log, which has a beginning and an end.
-
-    Rows are in the order of time: beyond ``capacity`` (0: what fits into MAX_BYTES) the oldest are dropped, and a time
-    that steps backwards (a set clock) continues from the last.
-    """
+    """Thread-safe. ``live`` is False for a log, which has a beginning and an end. Rows are in the order of time: beyond
+    ``capacity`` (0: what fits into MAX_BYTES) the oldest are dropped, and a time that steps backwards (a set clock)
+    continues from the last."""
 
     def __init__(
         self, fingers: Sequence[Finger], gauges: int = 3, *, live: bool = True, capacity: int = 0,
@@ -198,13 +195,10 @@ class Model:
     def envelope(
         self, first_bin: int, last_bin: int, width_ns: int, what: Charted = "contact"
     ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
-        """Return bins first to last (inclusive) of ``width_ns`` that are not empty: they keep extremes and gaps.
-
-        They are the number (b,) of each bin, whose time is number x width; and (b, k, 3 q + 1): minimum, maximum and
-        largest standard uncertainty of q quantities, NaN where none was known, and the number of rows in which the
-        first was unknown or the finger missing. The quantities are P, phi, theta; or F1, F2, F3; or the strain of each
-        gauge, both without uncertainties.
-        """
+        """Return bins first to last (inclusive) of ``width_ns`` that are not empty: the number (b,) of each, whose time
+        is number x width; and (b, k, 3 q + 1): minimum, maximum and largest standard uncertainty of q quantities, NaN
+        where none was known, and the number of rows in which the first was unknown or the finger missing. The
+        quantities are P, phi, theta; or without uncertainties F1, F2, F3, or the strain of each gauge."""
         with self._lock:
             ends = np.searchsorted(self.rows.t_ns, (first_bin * width_ns, (last_bin + 1) * width_ns)).tolist()
             rows = self.rows.part(slice(*ends))
@@ -222,10 +216,8 @@ class Model:
             return number[starts], np.concatenate(reduced, axis=-1, dtype=np.float64)
 
     def largest(self) -> tuple[float, float]:
-        """Return the largest P in newtons and the largest strain in microstrain, without sign; 0 if none is known.
-
-        The strain of a finger with a saturated gauge or a fault is that of the converter's limit: it does not count.
-        """
+        """Return the largest P in newtons and the largest strain in microstrain, without sign; 0 if none is known. The
+        strain of a finger with a saturated gauge or a fault is that of the converter's limit: it does not count."""
         with self._lock:
             rows = self.rows
             sound = (rows.status & (SATURATED | FRONT_END_FAULT) == 0)[..., np.newaxis]

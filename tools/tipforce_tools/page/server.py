@@ -1,9 +1,6 @@
-"""The page's server: static files and a WebSocket for each page, in one thread of an asyncio loop.
-
-websockets limits the time of a handshake and the size of a message, and reports when a page stops reading. Many
-connections cannot block others: beyond the limit, the one that has waited or read nothing for the longest time is
-dropped. Many requests or pings of one page cannot either: beyond its budget its connection is closed.
-"""
+"""The page's server: static files and a WebSocket for each page, in one thread of an asyncio loop. websockets limits
+handshakes and messages, and reports a page that stops reading. Beyond the limit of connections, the one that has waited
+or read nothing for the longest time is dropped; beyond a page's budget of requests or pings, its own."""
 
 from __future__ import annotations
 
@@ -170,7 +167,6 @@ class ViewServer:
         self._others[connection] = None
 
     async def _talk(self, connection: ServerConnection) -> None:
-        """Serve a page."""
         assert connection.request is not None
         self._others.pop(connection, None)
         if len(self.pages) >= MAX_PAGES:

@@ -44,11 +44,8 @@ print(log[{node_id}].P_newtons)  # .t_s, .phi_deg, .theta_deg
 
 
 class Source:
-    """Fills a model. One thread calls ``pump`` about 30 times a second.
-
-    ``no_tare``: why tare is not available; empty if it is. ``loops``: a replay begins again at its end; otherwise it
-    ends on the moment ``rest_ns``, if that is given.
-    """
+    """Fills a model; one thread calls ``pump`` about 30 times a second. ``no_tare``: why tare is not available, or "".
+    ``loops``: a replay begins again at its end; otherwise it ends on the moment ``rest_ns``, if given."""
 
     loops = False
     rest_ns: int | None = None
@@ -176,7 +173,6 @@ class LogSource(Source):
         return int(count[SYNC_COB_ID]) or int(count[TPDO_BASES[0] + 1 : RPDO_BASES[2]].max())
 
     def _read(self) -> tuple[int, int]:
-        """Read the rows; return the bits of all frames, without stuff bits and with their maximum."""
         self._rows, last_s, low, high = 0, 0.0, 0, 0
         kept: list[FrameArray] = []
         with open_log(self._path, start_ns=self._limits[0], end_ns=self._limits[1]) as log:
@@ -210,10 +206,8 @@ def is_scene(path: Path) -> bool:
 
 
 def scene_source(path: Path, make_finger: FingerMaker, start_s: float = 0.0, end_s: float | None = None) -> LogSource:
-    """Run the scene without its output files, expectations and bus, and show it like its log. Raises InputError.
-
-    It knows the names, layouts and calibrations of its fingers, and ends on the moment with most of them in contact.
-    """
+    """Run the scene without its output files, expectations and bus, and show it like its log. Raises InputError. It
+    knows the names, layouts and calibrations of its fingers, and ends on the moment with most of them in contact."""
     from tipforce.scene.build import build
     from tipforce.scene.reader import read_scene
     from tipforce.scene.run import run_scene

@@ -58,11 +58,9 @@ def period_ns(t_ns: npt.NDArray[np.int64]) -> int:
 
 
 def finger_states(rows: Block, now_ns: int) -> list[FingerState]:
-    """Return the state of each finger at ``now_ns``, from the rows up to then.
-
-    A sample is live for 2.5 SYNC periods (0.5 s if the period is unknown), counted in SYNCs while these arrive.
-    Without SYNC the minimum is 0.1 s, the resolution of the page.
-    """
+    """Return the state of each finger at ``now_ns``, from the rows up to then. A sample is live for 2.5 SYNC periods,
+    counted in SYNCs while these arrive (0.5 s if the period is unknown; without SYNC at least 0.1 s, the page's
+    resolution)."""
     recent = rows.part(slice(-_PERIOD_ROWS, None))
     if not len(recent):
         return [_silent(0)] * rows.status.shape[1]
@@ -84,7 +82,6 @@ def finger_states(rows: Block, now_ns: int) -> list[FingerState]:
 
 
 def _old(rows: Block, k: int, now_ns: int) -> FingerState:
-    """Return the state of a finger without a recent response: its last one, unless that is too old."""
     back = rows.part(slice(-_LOOK_BACK_ROWS, None))
     answered = np.flatnonzero(back.status[:, k] & reasons.NO_ANSWER == 0)
     if not len(answered):

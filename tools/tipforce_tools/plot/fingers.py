@@ -1,7 +1,4 @@
-"""Fingers of a recording as traces, in bounded memory: quantities over time with bands, flags, lost samples.
-
-Samples are reduced by bins that keep the extremes.
-"""
+"""Fingers of a recording as traces in bounded memory (bins keep extremes): quantities with bands, flags, losses."""
 
 from __future__ import annotations
 
@@ -23,9 +20,7 @@ _PERIODS = 5.0  # a pause of this many periods is a gap
 
 class Line(NamedTuple):
     """A quantity at k times. ``y`` (5, k): mean, low, high, and the band, NaN where its uncertainty is unknown.
-
-    ``starts`` (k,): preceded by a gap or an unknown value. Angles are unwrapped.
-    """
+    ``starts`` (k,): preceded by a gap or an unknown value. Angles are unwrapped."""
 
     t_ns: IntArray
     y: FloatArray
@@ -169,10 +164,8 @@ Reduced = Mapping[str, tuple[np.ufunc, Any]]  # by column: reduction of a bin, a
 
 
 class Bins:
-    """Columns of samples from ``start_ns``, reduced per bin; bins grow by powers of two with time.
-
-    ``count`` (BINS,): number of samples in each; ``first_ns``, ``last_ns``: their times.
-    """
+    """Columns of samples from ``start_ns``, reduced per bin; bins grow by powers of two with time. ``count`` (BINS,):
+    number of samples in each; ``first_ns``, ``last_ns``: their times."""
 
     def __init__(self, start_ns: int, columns: Reduced) -> None:
         self.start_ns = start_ns

@@ -67,10 +67,7 @@ def whole_cells(number: npt.NDArray[np.int64], digits: int = 0) -> Cells:
 
 
 def real_cells(values: Values, digits: int | None) -> Cells:
-    """Format float64 (k,) with ``digits`` decimals; None, or for numbers that are too large: shortest exact text.
-
-    Non-finite numbers give no characters.
-    """
+    """Format float64 (k,): ``digits`` decimals, or the shortest exact text (None, large numbers); "" if not finite."""
     finite = np.isfinite(values)
     if digits is not None:
         scaled = np.rint(np.where(finite, values, 0.0) * 10.0**digits)
@@ -160,7 +157,6 @@ _CHUNK_ROWS = 32_768
 
 
 def _text(table: Table, cells: Callable[[Table], Iterable[bytes | Cells]]) -> bytes:
-    """Return the rows of a table as text, formatted in pieces of bounded size."""
     text = b""
     for start in range(0, len(table), _CHUNK_ROWS):
         whole = len(table) <= _CHUNK_ROWS
@@ -277,7 +273,6 @@ def people_rows(table: Table, base: Sequence[str]) -> bytes:
 
 
 def _unit(column: Column, table: Table) -> bytes | Cells:
-    """Return the unit after a value, blanks after an unknown one."""
     unit = f" {_UNITS.get(column.unit, column.unit)}".encode() if column.unit else b""
     missing = is_missing(column, table.values[column.name])
     return chosen(missing, b" " * len(unit), unit) if unit and missing.any() else unit
