@@ -131,7 +131,7 @@ class Shuffled:
         if self._order.random() < 0.3:  # the worker dies
             self._works[number] = Work(number, self._pieces[number], READING)
         written = self._works.pop(number).write(self._sink, passed, before, shape, last)
-        self._events += [Event(number, passed), Event(number, written)]
+        self._events += [(number, passed), (number, written)]
 
     def next(self) -> Event:
         """As Workers."""
