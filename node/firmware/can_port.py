@@ -35,7 +35,6 @@ class CanPort:
         raise NotImplementedError
 
     def _next(self) -> "Frame | None":
-        """Return the next received frame, None without one."""
         raise NotImplementedError
 
     def _put(self, can_id: int, data: bytes) -> bool:

@@ -45,7 +45,6 @@ def run_case(case: Case, dut: Dut, persistent: bool) -> Result:
 
 
 def _lack(case: Case, dut: Dut, persistent: bool) -> str:
-    """Return why a case cannot be run here, "" if it can."""
     if case.persistent and not persistent:
         return "would change the stored parameters or the node-id; --persistent allows it"
     if case.error_frames and not dut.link.error_frames:

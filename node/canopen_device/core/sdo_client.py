@@ -285,7 +285,6 @@ class BlockDownload(Download):
         yield from self._awaited(lambda r: r[0] & 0xE3 == 0xA1)
 
     def _send_block(self, offset: int, block_size: int) -> int:
-        """Send the segments of one block; return their number."""
         if not 1 <= block_size <= MAX_BLOCK:
             raise TransferError(codes.BLOCK_SIZE, f"block size {block_size}, allowed are 1 to {MAX_BLOCK}")
         content = self._content

@@ -218,7 +218,6 @@ class Drive(DeviceApplication):
         self._homed, self._homing = True, False
 
     def _limit(self, position: float) -> float:
-        """Return a position inside 607Dh; equal limits are none."""
         low, high = self._get((POSITION_LIMIT, 1)), self._get((POSITION_LIMIT, 2))
         inside = min(max(position, low), high) if low < high else position
         self._limited = inside != position

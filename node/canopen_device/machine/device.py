@@ -188,8 +188,6 @@ class SimulatedDevice:
 
 
 class _Bridge(Application):
-    """The core's calls, passed on to the application and the signals of a simulated device."""
-
     def __init__(self, device: SimulatedDevice, drivers: list[Driver]) -> None:
         self._device = device
         self._drivers = drivers

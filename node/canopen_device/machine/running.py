@@ -144,7 +144,6 @@ def simulated_devices(devices: Sequence[SimulatedDevice], bus: Any = None) -> It
 
 
 def _connection(bus: Any) -> tuple[dict[str, Any], can.BusABC, bool]:
-    """Return the keywords of a bus, a connection for the devices, and whether to close it."""
     from canopen_device.running.open_bus import open_bus
 
     connected, options = None, {}

@@ -129,7 +129,6 @@ def _flag(entry: Entry[Any], start: int, bit: int, name: str, description: str) 
 
 
 def _measurement(entry: Entry[Any], start: int, n: int) -> Signal | None:
-    """The quantities that have a unit, a resolution and a value for unknown; None for any other."""
     if entry.index in table.forms(indices.PROCESS_VALUE):
         symbol, what, _, digits, _, unit, _, _ = table.channels(n)[entry.sub - 1]
         limit = 180.0 if unit == "degree" else None

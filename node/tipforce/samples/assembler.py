@@ -16,8 +16,6 @@ from tipforce.samples.record import Column, Pdo, Samples
 
 
 class _Sample:
-    """The PDOs of a sample so far, as raw words; ``row`` is its number."""
-
     __slots__ = ("counter", "ended", "faults", "node_id", "row", "time_ns", "words")
 
     def __init__(self, row: int, node_id: int, t_ns: int, counter: int) -> None:

@@ -348,7 +348,6 @@ class RowAssembler:
             self.tally.doubtful[k] += 1
 
     def _ready(self, now_s: float) -> int:
-        """Return the first row that cannot be closed yet."""
         row, last = self._first, self._last
         if row > last:
             return row
@@ -373,7 +372,6 @@ class RowAssembler:
         return row
 
     def _await(self) -> None:
-        """Count the answers that the first open row waits for."""
         first, fingers = self._first, len(self.node_ids)
         if not self._absent and max(self._latest, default=-1) < first:
             self._awaited = self._slots
@@ -399,7 +397,6 @@ class RowAssembler:
             self._await()
 
     def _judge(self, row: _OpenRow) -> None:
-        """Store why each finger is missing in a row, and count."""
         if row.states == self._all_live and row.number and len(self._pdos) == 1:
             row.reasons = self._all_present
         else:

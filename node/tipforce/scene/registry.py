@@ -100,7 +100,6 @@ def computes(group: schema.Nodes) -> tuple[str, str]:
 
 
 def _part(name: str, why: str | None, without: str, *modules: str) -> Part:
-    """Return a part, built with the reason ``why``, or omitted with the reason ``without``."""
     return Part(name, bool(why), why or without, modules)
 
 

@@ -111,7 +111,6 @@ class IioSource(Source):
             part.close()
 
     def _counts(self, now_us: int) -> tuple[int, ...] | None:
-        """Return the joined counts of all devices; None, with ``faults`` set, while a device has none."""
         if self._read_us is None:
             self._read_us = now_us  # the time-out starts with the first call
         faults = 0

@@ -195,7 +195,6 @@ class Watcher:
         return events
 
     def _find_pace(self, frames: FrameArray) -> None:
-        """Let the most frequent PDO begin each row if no SYNC is found."""
         ids = frames["can_id"]
         self._synced = bool((ids == SYNC_COB_ID).any())
         pdos = ids[np.isin(ids & _SERVICE, list(self._bases))]

@@ -222,7 +222,6 @@ def _with_one(F: FloatArray) -> FloatArray:
 
 
 def _along_y(loads: Loads) -> BoolArray:
-    """Return which loads hang along y rather than along x."""
     along_y: BoolArray = np.abs(np.sin(loads.phi_rad)) > np.abs(np.cos(loads.phi_rad))
     return along_y
 

@@ -230,7 +230,6 @@ def improve(problem: Problem, goal: Score, x: FloatArray) -> tuple[float, FloatA
 
 
 def _trace(A: FloatArray, W: FloatArray) -> tuple[float, FloatArray]:
-    """Return log sqrt(tr(W (A^T A)^-1)) and its derivative."""
     try:
         inverse = np.linalg.inv(A.T @ A)
     except np.linalg.LinAlgError:

@@ -169,7 +169,6 @@ class March:
         return regime
 
     def _first_event(self, regime: _Regime, h: float, after: FloatArray) -> tuple[float, int] | None:
-        """Return (time from now, contact) of the first change within h."""
         now, then = regime.violation @ self.state, regime.violation @ after
         rate_now, rate_then = regime.violation @ (regime.A @ self.state), regime.violation @ (regime.A @ after)
         first: tuple[float, int] | None = None

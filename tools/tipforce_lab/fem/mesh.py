@@ -253,7 +253,6 @@ def _from_corner(corner: float, sign: float, radius: float, reach: float, n: int
 
 
 def _to_corner(corner: float, sign: float, radius: float, reach: float, n: int) -> list[FloatArray]:
-    """Return the same blocks in the other direction, ending in the corner."""
     return [block[::-1] for block in reversed(_from_corner(corner, sign, radius, reach, n))]
 
 

@@ -119,7 +119,6 @@ class Run:
             advance()
 
     def _guarded(self, key: str, work: Callable[[], Any]) -> Any:
-        """Return the result of ``work``; None, noted as left out, where something prevents it."""
         try:
             return work()
         except ModuleNotFoundError as error:

@@ -94,7 +94,6 @@ class TwinNodes:
         self.close()
 
     def _keep_time(self) -> None:
-        """Send what is due now: boot-up messages, heartbeats, timed PDOs."""
         now_us = self._tips.at(self._data)
         if self._tips.boot_frames:
             self._port.send(self._tips.boot_frames)

@@ -143,7 +143,6 @@ def _sensor(args: argparse.Namespace, calibration: Calibration | None) -> Sensor
 
 
 def _records(error_budget: Budget) -> list[dict[str, object]]:
-    """Return one record per cause, the total last: root mean square and maximum over the loads, share of variance."""
     import numpy as np
 
     records: list[dict[str, object]] = []

@@ -177,7 +177,6 @@ class DatasetRun:
             yield chain
 
     def _repairs(self, names: Sequence[str]) -> Iterator[_Chain]:
-        """Return the known logs whose files in the dataset are missing or truncated, to be decoded again."""
         root = self.store.local
         for name in names if root is not None else ():
             source = self._known(name)

@@ -96,7 +96,6 @@ class Summary:
         places: dict[int, Place],
         causes: list[tuple[int, BoolArray, set[str] | None]],
     ) -> None:
-        """Count the missing values of a column, each by the first reason that its row tells."""
         rows = np.flatnonzero(np.isnan(table.values[column.name]))
         absent = table.absent.get(column.name)
         if absent is not None:

@@ -1,9 +1,6 @@
-"""Decode the parts of a recording with any number of workers, each of which writes the rows of its parts itself.
-
-A worker decodes a part and keeps its rows. When the part in front has passed, it gets the ``State`` behind that,
-returns the one behind its own part, for the next, and completes and writes its rows. What comes back is a record of
-what was written, never a row. A part is repeated if its worker dies.
-"""
+"""Decode the parts of a recording with any number of workers. A worker decodes a part and keeps its rows. When the part
+in front has passed, it gets the ``State`` behind that, returns the one behind its own, for the next, and completes and
+writes its rows; a record of what was written comes back. A part is repeated if its worker dies."""
 
 from __future__ import annotations
 
@@ -292,7 +289,6 @@ class Processes(Workers):
 
 
 def _serve(pipe: Any, inherited: list[Any], reading: Reading, sink: Sink) -> None:
-    """Work on one part after another, until the other end of the pipe is closed."""
     for other in inherited:
         other.close()
     np.empty(_KEPT_BYTES, dtype=np.uint8)  # as in host.logs.lines: the memory of a part is kept for the next one

@@ -111,7 +111,6 @@ def _comment(args: argparse.Namespace, best: Assessment) -> str:
 
 
 def _print_tables(entries: list[Assessment], noise_microstrain: float, load_newtons: float) -> None:
-    """Print the structures, their uncertainties and limits, and what the frame says; yellow where it disagrees."""
     from tipforce.sensor.structure.strain import gauge_name
 
     structures, figures, frames = [], [], []

@@ -163,7 +163,6 @@ def _dump_text(args: Namespace, source: Path | str, targets: tuple[Selection, ..
 
 
 def _report(session: Session, dropped: int, log: LogNotes | None) -> None:
-    """Report on stderr the frames left out, and with -v the counts."""
     notes = []
     if log is not None and log.bad:
         reasons = ", ".join(f"{count} {reason}" for reason, count in log.bad.items())
@@ -250,7 +249,6 @@ def _add_values(records: list[dict[str, Any]], samples: Samples) -> None:
 
 
 def _words(samples: Samples) -> list[str]:
-    """`node 5 (0x05) Contact  P=4.398 N phi=90.01 deg theta=unknown contact calibrated #3`, for each sample."""
     flags, numbers = _kinds(samples)
     parts = [[_value(signal, value) for value in samples.columns[signal.name].tolist()] for signal in numbers]
     parts += [[signal.name if is_set else "" for is_set in samples.columns[signal.name].tolist()] for signal in flags]
@@ -261,7 +259,6 @@ def _words(samples: Samples) -> list[str]:
 
 
 def _kinds(samples: Samples) -> tuple[list[Signal], list[Signal]]:
-    """Return the flags, and the numbers except the counter."""
     signals = [signal for signal in samples.message.signals if signal.name in samples.columns]
     flags = [signal for signal in signals if signal.bits == 1]
     return flags, [signal for signal in signals if signal.bits > 1 and signal.name != _COUNTER]

@@ -75,10 +75,8 @@ def run(
     watched: Monitor, source: FrameSource, stopped: Callable[[], bool], interval_s: float, show: Show | None,
     once_s: float = math.inf,
 ) -> bool:  # fmt: skip
-    """Update the monitor until the source ends, ``stopped`` is true, or --once is over; return whether it was shown.
-
-    It is shown at each interval of the frames' clock, so that a log gives the same lines.
-    """
+    """Update the monitor until the source ends, ``stopped`` is true, or --once is over; return whether it was shown. It
+    is shown at each interval of the frames' clock, so that a log gives the same lines."""
     begun_s, first_ns, due_ns, shown = time.monotonic(), None, 0, False
     interval_ns = round(interval_s * 1e9)
     while not source.ended and not stopped():
@@ -125,7 +123,6 @@ def _source(
 
 
 def _print(bitrate: int, hints: Hints, watched: Monitor, now_ns: int | None) -> None:
-    """Print the state: a JSON line, or the plain table."""
     buses = watched.views(now_ns)
     if common.OUTPUT.json:
         common.print_json(record(buses, None if now_ns is None else now_ns / 1_000_000_000, bitrate))
@@ -135,7 +132,6 @@ def _print(bitrate: int, hints: Hints, watched: Monitor, now_ns: int | None) -> 
 
 
 def _refresh(screen: Live, bitrate: int, interval_s: float, hints: Hints, watched: Monitor, now_ns: int | None) -> None:
-    """Show the live table; the last one stays on the screen."""
     foot = f"{counted(watched.frames, 'frame')}; every {interval_s:g} s; Ctrl-C ends"
     buses = watched.views(now_ns)
     screen.update(tables(buses, bitrate, _missing(hints, buses), foot, screen.console.width), refresh=True)
@@ -194,7 +190,6 @@ def shown(reading: Reading) -> str:
 
 
 def _value(reading: Reading) -> str:
-    """Return a value of a node with an EDS: `-2 rpm`."""
     if reading.value is None:
         return "STALE" if reading.stale else "unknown"
     return f"{reading.value:.9g} {reading.unit}".rstrip()
@@ -205,7 +200,6 @@ def _seconds(seconds: float) -> str:
 
 
 def _missing(hints: Hints, buses: Sequence[BusView]) -> list[str]:
-    """Return the lines of the hints; the view of a bus has the duplicates."""
     duplicates = {node.duplicate for bus in buses for node in bus.nodes}
     return [text for text in map(str, hints.findings()) if text not in duplicates]
 

@@ -69,7 +69,6 @@ def run(args: argparse.Namespace) -> int:
 
 @contextmanager
 def _opened(args: argparse.Namespace) -> Iterator[tuple[Finger, DeviceObjects, Configuration]]:
-    """Open the node; yield it, its dictionary and the content of the file. Raises what a file lacks."""
     from tipforce.host.configuration.configuration_file import read_configuration
 
     wanted, error = {}, None

@@ -243,7 +243,6 @@ def _read(sdo: SdoChannel, entry: Entry[Value]) -> tuple[Value | SdoAbortError, 
 
 
 def _entries(sdo: SdoChannel, gauges: int | None, eds: str | None) -> Iterable[Entry[Value]]:
-    """Return the entries of the node: with --gauges those of such a fingertip, otherwise by its identity."""
     below, described = 0x10000, None
     if gauges is None and not eds:
         gauges = gauges_read(sdo) or None

@@ -250,6 +250,5 @@ class GaugeReader:
 
 
 def _fresh(rows: list[Sample]) -> list[bool]:
-    """Return which samples are independent: not stale, and without the counter of the previous sample."""
     before = [-1, *(row.counter for row in rows)]
     return [not row.stale and row.counter != last for row, last in zip(rows, before, strict=False)]

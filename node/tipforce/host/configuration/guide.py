@@ -143,7 +143,6 @@ def _grooves(text: str) -> list[tuple[str, float, float]]:
 
 
 def _plan(steps: list[Step], tare_every: int) -> tuple[Step, ...]:
-    """Return the steps, numbered; ``tare_every`` 0: with tares of their own, else with one after so many loads."""
     if tare_every:
         groups = [[*steps[k : k + tare_every], TARE] for k in range(0, len(steps), tare_every)]
         steps = [TARE, *chain.from_iterable(groups)]

@@ -123,7 +123,6 @@ class Counters:
         return replace(table, counter=counter)
 
     def _continued(self, key: npt.NDArray[np.uint16], sent: IntArray, modulus: int) -> IntArray:
-        """Return counters (k,) of nodes, one node after another, without wraps."""
         counts = unwrap_counter(sent, modulus)
         starts = np.flatnonzero(np.concatenate(([True], key[1:] != key[:-1])))
         ends = [*starts[1:].tolist(), len(key)]

@@ -294,7 +294,6 @@ class DuplicateNodes:
 
 
 def _service(kind: int, node_id: int, node: _Node, data: bytes, t_ns: int) -> str:
-    """Take an SDO frame, or an EMCY; return the cause of a finding."""
     if kind == _EMCY:
         if int.from_bytes(data[:2], "little") != COB_ID_COLLISION:
             return ""

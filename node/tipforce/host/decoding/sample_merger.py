@@ -169,7 +169,6 @@ class SampleMerger:
         return self.channels[channel], node_id, name
 
     def _in_turn(self, counts: Iterable[SlotCount]) -> list[tuple[int, list[SlotCount]]]:
-        """Return the groups with their slots, in the order in which a node sends its PDOs."""
         of_group: dict[int, list[SlotCount]] = {}
         first: dict[str, int] = {}  # slot of a message, by its name
         for count in counts:

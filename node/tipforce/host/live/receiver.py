@@ -1,7 +1,5 @@
-"""Interface of every live receiver, independent of the bus; and a group of several.
-
-SocketCAN's filters select frames: the kernel applies them, or numpy on other interfaces.
-"""
+"""Interface of every live receiver, independent of the bus; and a group of several. SocketCAN's filters select frames:
+the kernel applies them, or numpy on other interfaces."""
 
 from __future__ import annotations
 
@@ -29,11 +27,8 @@ TICK_S = 0.001
 
 
 SWITCH_INTERVAL_S = 0.0005
-"""While a receiver is open, a busy Python thread gives up the interpreter after this time; Python's default is 5 ms.
-
-At the default a batch waits up to 5 ms for the interpreter each time that the receiving thread blocked, and twenty
-times as many frames arrive meanwhile. A switch costs some microseconds, 1 % of this interval.
-"""
+"""While a receiver is open, a busy Python thread gives up the interpreter after this time. At Python's default a batch
+waits up to 5 ms for it, in which twenty times as many frames arrive. A switch costs 1 % of this interval."""
 
 
 class ShortSwitchInterval:
@@ -80,10 +75,8 @@ class Receiver:
 
     def receive(self, timeout_s: float | None = None) -> FrameArray:
         """Return the classic frames received, FRAME (n,), as soon as there is one; n is 0 after ``timeout_s``.
-
-        ``channel`` indexes the names of the block. Raises EnvironmentLackError if the bus fails,
-        InterfaceDownError if it may recover.
-        """
+        ``channel`` indexes the names of the block. Raises EnvironmentLackError if the bus fails, InterfaceDownError if
+        it may recover."""
         return self.receive_block(timeout_s).frames
 
     def receive_block(self, timeout_s: float | None = None) -> CandumpBlock:
@@ -132,11 +125,9 @@ class Filter:
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Filters of one socket: without filters every data frame passes; with an ``error_mask`` of 0 no error frame.
-
-    A data frame passes if it passes one of ``filters``, or all of them with ``join``. An error frame passes if it
-    has one of the classes of ``error_mask`` (linux/can/error.h).
-    """
+    """Filters of one socket: without filters every data frame passes; with an ``error_mask`` of 0 no error frame. A
+    data frame passes if it passes one of ``filters``, or all of them with ``join``. An error frame passes if it has one
+    of the classes of ``error_mask`` (linux/can/error.h)."""
 
     filters: tuple[Filter, ...] = ()
     join: bool = False
@@ -159,10 +150,7 @@ class Selection:
 
 
 class ReceiverGroup(Receiver):
-    """Receive from all of ``receivers``, and take ownership of them. A context manager.
-
-    ``at_end``: called when it is closed.
-    """
+    """Receive from all of ``receivers``, which it owns. A context manager; ``at_end`` is called when it is closed."""
 
     def __init__(
         self, receivers: Sequence[Receiver], *, tick_s: float = TICK_S, at_end: Sequence[Callable[[], None]] = ()

@@ -227,7 +227,6 @@ def _block(frames: bytes | bytearray, names: tuple[str, ...], timed: bool, fd: t
 
 
 def _identifier(text: str) -> int:
-    """Return the can_id with flags, except the remote flag."""
     if _HEX.fullmatch(text) is None or len(text) not in {3, 8}:
         raise ValueError("identifier")
     can_id = int(text, 16)
@@ -244,7 +243,6 @@ _Payload = tuple[bool, int, int, bytes]  # is CAN FD, its flags or the remote fl
 
 
 def _log_payload(text: str) -> _Payload:
-    """Return what the text after the # of a line in the log format says."""
     if text[:1] in {"R", "r"}:
         if text[1:] not in {"", *"012345678"}:
             raise ValueError("length" if text[1:].isdigit() else "data")

@@ -31,8 +31,6 @@ _UNIT_OF_MAGIC = {0xA1B2C3D4: 1000, 0xA1B23C4D: 1}  # ns per unit of the fractio
 
 
 class _Interface(NamedTuple):
-    """Source of packets: link type, channel number, ticks of the clock per second."""
-
     link: int
     channel: int
     ticks_per_s: int

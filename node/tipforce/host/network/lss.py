@@ -86,7 +86,6 @@ class LssMaster:
         return None
 
     def _ends(self, part: int, sub: int, timeout_s: float | None = None) -> bool:
-        """Whether a node has this part; it goes on to the next one."""
         return self._matches(part, 0, sub, (sub + 1) % 4, timeout_s)
 
     def select(self, address: LssAddress) -> bool:

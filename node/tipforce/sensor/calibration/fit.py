@@ -153,7 +153,6 @@ def _suspected(readings: Readings, model: Model, problem: Problem) -> BoolArray:
 
 
 def _with_offset(problem: Problem, readings: Readings, model: Model, keep: BoolArray) -> Problem:
-    """Add the columns of the offset; complete rows of ``keep`` give tares."""
     usable, unloaded = keep & problem.observed.all(axis=1), readings.P_newtons == 0.0
     basis = regressors.offset_basis(model.drift, model.offset, readings.t_s, unloaded, usable)
     basis = basis.with_temperature(_change_K(readings)) if model.temperature else basis

@@ -260,7 +260,6 @@ def _sentence(entries: dict[str, float], unit_newtons: float, snap: float) -> st
 
 
 def _sum(coefficients: FloatArray, names: Sequence[str]) -> str:
-    """The text F1 - 0.5 F2 from (1, -0.5, 0)."""
     text = ""
     for value, name in zip(coefficients, names, strict=True):
         if abs(value) > 1e-9:

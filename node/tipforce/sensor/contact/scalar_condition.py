@@ -42,7 +42,6 @@ def condition_number(rows: "list[list[float]]") -> float:
 
 
 def _sweep(work: "list[list[float]]") -> bool:
-    """Rotate each pair of rows once; False when all pairs were orthogonal already."""
     turned = False
     for i in range(len(work)):
         for k in range(i + 1, len(work)):

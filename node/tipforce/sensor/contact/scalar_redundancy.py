@@ -286,7 +286,6 @@ def _forward(L: "list[list[Number]]", b: "Sequence[Number]") -> "list[Number]":
 
 
 def _inverse_root(S: "list[list[float]]") -> "list[list[float]] | None":
-    """The inverse of the lower Cholesky factor of S, row by row; None where S is singular."""
     m = len(S)
     scale = []
     for i in range(m):

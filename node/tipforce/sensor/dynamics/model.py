@@ -215,7 +215,6 @@ def jacobi(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _rotate(A: FloatArray, Q: FloatArray, i: int, j: int) -> bool:
-    """Apply one rotation that makes A[i, j] zero; return False if it changes nothing."""
     a, b, g = float(A[i, i]), float(A[j, j]), float(A[i, j])
     half = 0.5 * (b - a) / g
     tangent = math.copysign(1.0, half) / (abs(half) + math.hypot(1.0, half))

@@ -57,7 +57,6 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
 
 
 def _frames(rng: np.random.Generator, count: int) -> list[bytes]:
-    """Return contact PDOs with uniform raw values, one in fifty of each signal unknown."""
     limits = np.array([0x7FFF, 18000, 18000])
     raw = rng.integers(-limits, limits, size=(count, 3), endpoint=True)
     raw[rng.random(raw.shape) < 0.02] = UNKNOWN

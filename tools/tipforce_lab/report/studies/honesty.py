@@ -218,7 +218,6 @@ class _Samples(NamedTuple):
 
 
 def _counts(folder: Path, scene: schema.Scene, calibration: Calibration) -> list[Counted]:
-    """Run the scene's node in simulated time, keep its sample at each SYNC, and count the rows of each method."""
     (finger,) = build(scene, folder)
     application = finger.device.application
     assert isinstance(application, Fingertip)
@@ -246,7 +245,6 @@ def _counts(folder: Path, scene: schema.Scene, calibration: Calibration) -> list
 
 
 def _shown(samples: _Samples, calibration: Calibration) -> Iterator[tuple[FloatArray, FloatArray, BoolArray]]:
-    """Yield P, u(P) and what says ok by each of METHODS."""
     P, u = samples.P_newtons, samples.u_P_newtons
     alone = np.isfinite(P) & (samples.status == scalar.CONTACT_PRESENT | scalar.CALIBRATED)
     yield P, u, alone
@@ -265,7 +263,6 @@ def says_ok(estimated: tipforce.Contacts) -> BoolArray:
 
 
 def _decoded(samples: _Samples, calibration: Calibration) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """The columns of `decode --calibration` from gauges, status byte and temperature."""
     k, values = len(samples.t_s), {}
     columns = [computed(f"SG{gauge + 1}", "microstrain", 1) for gauge in range(samples.microstrain.shape[1])]
     values = {column_name.name: column for column_name, column in zip(columns, samples.microstrain.T, strict=True)}
