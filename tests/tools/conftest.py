@@ -63,9 +63,9 @@ def tipforce(bus_words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> 
 
 @pytest.fixture
 def printed(capsys: pytest.CaptureFixture[str]) -> Printed:
-    def run(code: int, words: Sequence[str]) -> Streams:
+    def run(code: int, words: Sequence[object]) -> Streams:
         capsys.readouterr()
-        ended = main(words)
+        ended = main([str(word) for word in words])
         result = Streams(*capsys.readouterr())
         assert ended == code, result.err
         return result

@@ -67,7 +67,7 @@ class Streams(NamedTuple):
     err: str
 
 
-Printed = Callable[[int, Sequence[str]], Streams]
+Printed = Callable[[int, Sequence[object]], Streams]
 """Run a command line that must end with this exit code; what it printed."""
 
 
