@@ -74,16 +74,14 @@ def test_a_command_that_speaks_to_the_node_says_it(
         assert json.loads(out)["duplicate"].startswith(SAID)
 
 
-def test_the_remedy_that_is_named_helps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_remedy_that_is_named_helps(tmp_path: Path, printed: Printed) -> None:
     channel = new_channel()
+    bus = f"-i virtual -c {channel}"
     with connected(node(1005, tmp_path), node(1006, tmp_path), channel=channel):
-        assert main(["scan", "--wait", "0.2", "-i", "virtual", "-c", channel]) == 1
-        for command in re.findall(r"`tipforce ([^`]+)`", capsys.readouterr().err):
-            assert main([*command.replace("ID", "6").split(), "-i", "virtual", "-c", channel]) == 0
-        capsys.readouterr()
-        assert main(["scan", "--wait", "0.2", "--json", "-i", "virtual", "-c", channel]) == 0
-        found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-        serials = [(one["node_id"], one["serial"], one["duplicate"]) for one in found]
+        for command in re.findall(r"`tipforce ([^`]+)`", printed(1, f"scan --wait 0.2 {bus}").err):
+            printed(0, f"{command.replace('ID', '6')} {bus}")
+        nodes = printed(0, f"scan --wait 0.2 --json {bus}").records
+        serials = [(record["node_id"], record["serial"], record["duplicate"]) for record in nodes]
         assert serials == [(5, 1005, ""), (6, 1006, "")]
 
 
