@@ -162,7 +162,15 @@ def test_supply_fault_reported_by_the_front_end() -> None:
 
 def test_a_temperature_beyond_the_range_is_said_once_and_its_end() -> None:
     talk = finger(emcy=True)
-    for temperature, codes in ((8001, [0x4210]), (8001, []), (2300, [0]), (2300, []), (-2001, [0x4210])):
+    steps: tuple[tuple[int, list[int]], ...] = (
+        (8001, [0x4210]),
+        (8001, []),
+        (-0x8000, []),
+        (2300, [0]),
+        (2300, []),
+        (-2001, [0x4210]),
+    )
+    for temperature, codes in steps:  # one that is not known ends nothing
         talk.source.temperature = temperature
         talk.sync()
         assert talk.emcy() == codes, temperature

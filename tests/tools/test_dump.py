@@ -21,7 +21,6 @@ import pytest
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.live import receive
 from tipforce.host.live.receiver import Selection
-from tipforce.host.live.targets import Target
 from tipforce_tools.cli.listening import open_targets
 from tipforce_tools.cli.main import main
 from tools.rig import Ended, Printed, Tipforce, message, sending
@@ -375,5 +374,5 @@ def test_a_bus_that_can_not_be_opened_closes_the_others(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(receive, "open_socket", open_socket)
     with pytest.raises(EnvironmentLackError):
-        open_targets([Target("good"), Target("bad")], argparse.Namespace(interface="socketcan"))
+        open_targets([Selection(channel="good"), Selection(channel="bad")], argparse.Namespace(interface="socketcan"))
     assert opened[0].fileno() == -1

@@ -15,7 +15,7 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.decoding.health import ALL, TOLD_BY_EMCY, Health, of_emcy
 from tipforce.host.decoding.log import read_log
-from tipforce.host.frames.frame_array import FRAME, FrameArray
+from tipforce.host.frames.frame_array import FrameArray, frame_array
 from tipforce.samples import reasons
 from tipforce.samples.columns import contact_values
 from tipforce.samples.reasons import Status
@@ -27,11 +27,7 @@ GAUGES = 8
 
 
 def frames(sent: list[tuple[int, bytes]], t_ns: int) -> FrameArray:
-    found = np.zeros(len(sent), dtype=FRAME)
-    for row, (can_id, data) in zip(found, sent, strict=True):
-        row["t_ns"], row["can_id"], row["length"] = t_ns, can_id, len(data)
-        row["data"][: len(data)] = np.frombuffer(data, dtype=np.uint8)
-    return found
+    return frame_array([(t_ns, *frame) for frame in sent])
 
 
 def followed(talk: Finger, health: Health, decoder: Decoder, syncs: int) -> int:

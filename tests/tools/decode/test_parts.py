@@ -18,7 +18,7 @@ from tipforce.host.dataset.reader import tables_of_logs
 from tipforce.host.decoding import recording as recordings
 from tipforce.host.decoding.log_part import Piece, Reading
 from tipforce.host.decoding.pdo_layout import Layouts
-from tipforce.host.decoding.recording import Passed, Recording, State
+from tipforce.host.decoding.recording import DecodedPart, Passed, Recording, State
 from tipforce.host.decoding.sample_table import NODE_BITS, Table, is_missing
 from tipforce_tools.decode.workers import Event, InOrder, Work
 from tipforce_tools.writing.writers import Shape
@@ -131,7 +131,7 @@ class Shuffled:
         if self._order.random() < 0.3:  # the worker dies
             self._works[number] = Work(number, self._pieces[number], READING)
         written = self._works.pop(number).write(self._sink, passed, before, shape, last)
-        self._events += [Event(number, passed), Event(number, written)]
+        self._events += [(number, passed), (number, written)]
 
     def next(self) -> Event:
         """As Workers."""
@@ -192,6 +192,17 @@ def test_parts_are_decoded_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         found, _, apart = in_parts(log, [200, 400, 600, 800, 1000], 3, order)
         assert apart >= (4 if modulus else 6)
         assert sorted(found) == sorted(expected)
+
+
+def test_a_log_that_grows_while_a_part_is_decoded_again_is_read_once_more(tmp_path: Path) -> None:
+    lines = log_lines(30, (1, 2))  # shorter than a head
+    log = write_log(tmp_path / "run.log", lines[:60])
+    part, before = DecodedPart(Piece(str(log)), READING), Recording(READING).state()
+    expected, _ = one_pass(write_log(log, lines[:90]))
+    passed = part.follow(before, last=True)
+    write_log(log, lines)
+    assert (passed.apart, passed.notes.frames) == (False, 90)
+    assert [row for table in part.rows(before, last=True) for row in texts(table)] == expected
 
 
 def test_a_worker_that_is_killed_is_repeated(

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from tipforce.host.frames.frame_block import CandumpBlock
     from tipforce.host.hand.bring_up import FingerReport
     from tipforce.host.live.receiver import ReceiverGroup, Selection
-    from tipforce.host.live.targets import Target
     from tipforce.watching.feeds import FrameFeed, HandFeed
     from tipforce.watching.findings import Finding, Observed
     from tipforce.watching.watcher import Fallback
@@ -137,7 +136,7 @@ def _group(
 
 
 def open_targets(
-    targets: Sequence[Target], args: Namespace, *, tick_s: float | None = None, hints: Hints | None = None
+    targets: Sequence[Selection], args: Namespace, *, tick_s: float | None = None, hints: Hints | None = None
 ) -> ReceiverGroup:
     """Listen to ``targets``, each on its channel; without targets, to the bus that the flags name.
 
@@ -150,7 +149,7 @@ def open_targets(
 
     options = bus_flags.find_bus(args, named=bool(targets))
     buses = [{**options, "channel": target.channel} for target in targets] or [options]
-    selections = [target.selection for target in targets] or [Selection()]
+    selections = targets or [Selection()]
     if any(selection.filters for selection in selections):
         hints = None  # what a filter leaves out is not missing
     return _group(buses, selections, TICK_S if tick_s is None else tick_s, hints, getattr(args, "sync", None))

@@ -51,6 +51,7 @@ _DATASET_PIECE_BYTES = 64_000_000  # a file per node of some megabytes
 _MANY_FRAMES = 100_000  # from there on a missing core costs a second
 _JOINED = ("csv", "jsonl", "parquet")
 """Formats whose parts can be written apart."""
+_FEWEST_JOBS = {"parquet": 3}  # of processes: one that reads, decodes and encodes in threads keeps two cores busy
 
 
 def decode(args: Namespace) -> int:
@@ -317,7 +318,7 @@ def pieces_of(args: Namespace, kind: str, names: Sequence[str]) -> list[Piece]:
     jobs, sizes = _jobs(args), list(map(os.path.getsize, names))
     if args.scheduler is not None:
         names = [os.path.abspath(name) for name in names]
-    elif jobs < 2 or (args.jobs is None and sum(sizes) < _SMALL_BYTES):
+    elif jobs < _FEWEST_JOBS.get(kind, 2) or (args.jobs is None and sum(sizes) < _SMALL_BYTES):
         return []
     pieces: list[Piece] = []
     for name, size in zip(names, sizes, strict=True):

@@ -15,7 +15,7 @@ from copy import copy
 from dataclasses import dataclass, field
 from itertools import chain
 from multiprocessing import connection
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -54,11 +54,8 @@ class Written:
     events: list[BusEvent] = field(default_factory=list)
 
 
-class Event(NamedTuple):
-    """What a worker says of part ``number``: what it leaves, what was written, or an error."""
-
-    number: int
-    told: Passed | Written | Exception
+Event = tuple[int, Passed | Written | Exception]
+"""What a worker says of a part by its number: what it leaves, what was written, or an error."""
 
 
 class Workers(Protocol):
@@ -147,7 +144,7 @@ class Here(Workers):
         rows = noting(chain(tables, recording.finish() if last else ()), columns)
         written = _written(number, self._piece, self._reading, self._sink, rows, shape)
         passed = Passed(recording.state(), recording.told.notes[0], few, columns)
-        self._events += [Event(number, passed), Event(number, written)]
+        self._events += [(number, passed), (number, written)]
         self._piece = None
 
     def next(self) -> Event:
@@ -270,7 +267,7 @@ class Processes(Workers):
             elif number in self._passed:
                 continue  # repeated: it leaves the same
             self._passed.add(number)
-            return Event(number, told)
+            return number, told
 
     def _repeat(self, number: int) -> None:
         process, pipe = self._busy.pop(number)
@@ -369,7 +366,7 @@ class Cluster(Workers):
         future.release()
         if isinstance(told, Written):
             self._works.pop(number).release()
-        return Event(number, told)
+        return number, told
 
     def close(self) -> None:
         self._works.clear()

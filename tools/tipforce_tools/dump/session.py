@@ -23,8 +23,8 @@ from tipforce.host.decoding.pdo_layout import EdsFiles, Layouts
 from tipforce.host.decoding.sdo_conversation import eds_names, fingertip_names
 from tipforce.host.decoding.services import Service, Services
 from tipforce.host.frames.frame_block import BIT_RATE_SWITCH, ERROR_STATE, CandumpBlock
-from tipforce.host.live.receiver import InterfaceDownError
-from tipforce.host.live.targets import STDIN, Target, select, split_targets
+from tipforce.host.live.receiver import InterfaceDownError, Selection
+from tipforce.host.live.targets import STDIN, select, split_targets
 from tipforce.host.logs.candump import BadLineError, CandumpParser, text_blocks
 from tipforce.host.logs.candump_format import CandumpFormat, identifier_text
 from tipforce.host.logs.lines import open_file
@@ -52,7 +52,7 @@ def _decoder(gauges: int, eds: EdsFiles) -> Decoder:
 class Session:
     """Output and counters of a run."""
 
-    def __init__(self, args: Namespace, targets: tuple[Target, ...], *, live: bool) -> None:
+    def __init__(self, args: Namespace, targets: tuple[Selection, ...], *, live: bool) -> None:
         self._args = args
         self._live = live
         eds = common.eds_files(args.eds or ())
@@ -134,7 +134,7 @@ def dump(args: Namespace) -> int:
     return 0
 
 
-def _dump_text(args: Namespace, source: Path | str, targets: tuple[Target, ...], session: Session) -> int:
+def _dump_text(args: Namespace, source: Path | str, targets: tuple[Selection, ...], session: Session) -> int:
     parser = CandumpParser(strict=args.strict)
     notes = parser.notes
     with FileIO(sys.stdin.fileno(), closefd=False) if source == STDIN else open_file(Path(source)) as file:

@@ -13,8 +13,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import InputError
-from tipforce.host.live.receiver import InterfaceDownError
-from tipforce.host.live.targets import STDIN, Target, split_targets
+from tipforce.host.live.receiver import InterfaceDownError, Selection
+from tipforce.host.live.targets import STDIN, split_targets
 from tipforce.host.logs.notes import no_frame, no_sample
 from tipforce.watching.bus_monitor import QUANTITIES, BusView, Monitor, NodeView, Reading
 from tipforce.watching.frame_sources import BusSource, FrameSource, LogSource, PipeSource
@@ -105,7 +105,7 @@ def run(
 
 
 def _source(
-    args: Namespace, name: Path | str | None, targets: Sequence[Target], interval_s: float, opened: ExitStack,
+    args: Namespace, name: Path | str | None, targets: Sequence[Selection], interval_s: float, opened: ExitStack,
     hints: Hints,
 ) -> tuple[FrameSource, LogReader | None]:  # fmt: skip
     if name is None:

@@ -141,6 +141,8 @@ class Selection:
     filters: tuple[Filter, ...] = ()
     join: bool = False
     error_mask: int = 0
+    channel: str = ""
+    """That a word of a command line names with them."""
 
     @property
     def everything(self) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -22,15 +21,7 @@ _FILTER = re.compile(r"(?:0[xX])?([0-9A-Fa-f]{1,8})([:~])(?:0[xX])?([0-9A-Fa-f]{
 _ERROR_FILTER = re.compile(r"#(?:0[xX])?([0-9A-Fa-f]{1,8})")
 
 
-@dataclass(frozen=True, slots=True)
-class Target:
-    """A channel and the filters of its frames."""
-
-    channel: str
-    selection: Selection = field(default_factory=Selection)
-
-
-def parse_target(text: str) -> Target:
+def parse_target(text: str) -> Selection:
     """Parse `vcan0,181:7FF,182~7FF,#FF,j`. Raises InputError naming an invalid filter."""
     channel, *rules = text.split(",")
     filters: list[Filter] = []
@@ -48,10 +39,10 @@ def parse_target(text: str) -> Target:
             join = True
         else:
             raise InputError(f"filter {rule!r} of {channel}: expected ID:MASK, ID~MASK or #MASK in hexadecimal, or j")
-    return Target(channel, Selection(tuple(filters), join, error_mask))
+    return Selection(tuple(filters), join, error_mask, channel)
 
 
-def select(block: CandumpBlock, targets: Sequence[Target]) -> CandumpBlock:
+def select(block: CandumpBlock, targets: Sequence[Selection]) -> CandumpBlock:
     """Return the frames of a text that a target selects: all without targets; a bare channel selects all its frames."""
     if not targets:
         return block
@@ -64,23 +55,23 @@ def select(block: CandumpBlock, targets: Sequence[Target]) -> CandumpBlock:
 
 
 def _wanted(
-    names: Sequence[str], can_id: npt.NDArray[np.uint32], interface: npt.NDArray[np.intp], targets: Sequence[Target]
+    names: Sequence[str], can_id: npt.NDArray[np.uint32], interface: npt.NDArray[np.intp], targets: Sequence[Selection]
 ) -> npt.NDArray[np.bool_]:
     wanted = np.zeros(len(can_id), dtype=np.bool_)
     for target in targets:
         here = np.array([target.channel in {name, ANY} for name in names], dtype=np.bool_)[interface]
-        wanted |= here if target.selection.everything else here & target.selection.passes(can_id)
+        wanted |= here if target.everything else here & target.passes(can_id)
     return wanted
 
 
-def split_targets(texts: Sequence[str]) -> tuple[Path | str | None, tuple[Target, ...]]:
+def split_targets(texts: Sequence[str]) -> tuple[Path | str | None, tuple[Selection, ...]]:
     """Return the source of the text (a file, STDIN, or None: buses), and the channels.
 
     Filters after a file apply to all its frames: `run.log,181:7FF` is `run.log any,181:7FF`. Raises InputError for
     two sources, a directory, and a missing file.
     """
     sources: list[Path | str] = []
-    targets: list[Target] = []
+    targets: list[Selection] = []
     for text in texts:
         path = Path(text)
         name, comma, rules = text.partition(",")
