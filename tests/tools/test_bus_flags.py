@@ -153,7 +153,7 @@ def test_a_bus_with_nodes_is_listened_to(capsys: pytest.CaptureFixture[str]) -> 
 
 
 def test_a_bus_that_does_not_open(printed: Printed) -> None:
-    out = printed(1, ["doctor", "--listen", "0.01", "-i", "socketcan", "-c", "nowhere9"]).out
+    out = printed(1, "doctor --listen 0.01 -i socketcan -c nowhere9").out
     assert "fail bus: " in out
     assert "->" in out
 
@@ -194,7 +194,7 @@ def test_where_the_name_comes_from(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
 
 def test_vcan_that_works_and_vcan_that_does_not(monkeypatch: pytest.MonkeyPatch, printed: Printed) -> None:
     monkeypatch.setattr("tipforce_tools.kernel.host.choose", lambda _interfaces: "uml")
-    assert "`tipforce vcan` works: vcan0 and vcan1, in User-mode Linux, which boots here" in printed(0, ["doctor"]).out
+    assert "`tipforce vcan` works: vcan0 and vcan1, in User-mode Linux, which boots here" in printed(0, "doctor").out
 
     def lacking(*_: object, **_options: object) -> int:
         raise EnvironmentLackError("User-mode Linux ended before it had booted\n  Kernel panic")
@@ -296,7 +296,7 @@ def test_the_first_command_names_cause_and_remedy(
 
 @pytest.mark.usefixtures("impatient")
 def test_what_a_filter_leaves_out_is_not_missing(printed: Printed) -> None:
-    assert printed(0, ["dump", f"{new_channel()},185:7FF", "--decode", "-T", "500", "-i", "virtual"]) == ("", "")
+    assert printed(0, f"dump {new_channel()},185:7FF --decode -T 500 -i virtual") == ("", "")
 
 
 @pytest.mark.usefixtures("impatient")
@@ -402,4 +402,4 @@ def test_the_interface_is_the_only_one_that_is_up(
     assert said in err
     assert ("it would open" in err and "can0" in err) == said.startswith("bus")
     if command == "scan":  # a channel alone is an interface of the kernel
-        assert re.search("would open .*can7", printed(2, ["scan", "-c", "can7"]).err)
+        assert re.search("would open .*can7", printed(2, "scan -c can7").err)

@@ -64,7 +64,6 @@ def test_decode_by_the_names_of_the_file(eds: str, tmp_path: Path, capsys: pytes
     assert (rows[1]["Controlword"], rows[1]["Modes_of_operation"]) == (15, 1)
     assert (rows[2]["Position_actual_value"], rows[2]["Velocity_actual_value"]) == (1000, -2)
     for words, said in (
-        (["--eds", eds], "the form is ID=FILE"),
         (["--eds", f"5={eds}", "--eds", f"5={eds}"], "node 5 has a file already"),
         (["--eds", "5=none.eds"], "No such file"), (["--eds", f"5={eds}", "--gauges", "4"], "leave out --dbc"),
     ):  # fmt: skip

@@ -147,11 +147,6 @@ def test_a_layout_file_that_is_wrong(tmp_path: Path, text: str, message: str) ->
     assert str(path) in str(caught.value)
 
 
-def test_a_layout_that_is_a_directory(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"layout .*Is a directory"):
-        read_layout(str(tmp_path))
-
-
 def records(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, dict[str, Any]]:
     assert main(["calibrate", "budget", *words, "--json"]) == 0
     return {record["cause"]: record for record in map(json.loads, capsys.readouterr().out.splitlines())}
@@ -217,8 +212,6 @@ def test_five_gauges_of_which_only_the_calibration_is_known(
     layout.write_text('points = ["K_H", "S_H", "U", "L", "T"]\n')
     assert "off-axis load" in records(capsys, path, "--layout", str(layout))
     assert "it has 3 gauges, the calibration 5" in printed(2, ["calibrate", "budget", path, "--layout", "I"]).err
-    write_calibration(path, replace(calibration, C=np.full((3, 5), 1e4)))
-    assert "matrix: rank below 3" in printed(2, ["calibrate", "budget", path]).err
 
 
 def test_text_tells_where_first_order_does_not_hold(printed: Printed) -> None:
@@ -235,10 +228,7 @@ def test_text_tells_where_first_order_does_not_hold(printed: Printed) -> None:
 
 @pytest.mark.skipif(importlib.util.find_spec("matplotlib") is None, reason="figures need the extra `plot`")
 @pytest.mark.parametrize(("name", "head"), [("b.png", b"\x89PNG"), ("b.svg", b"<?xml")])
-def test_plot(printed: Printed, tmp_path: Path, name: str, head: bytes) -> None:
+def test_plot(tmp_path: Path, name: str, head: bytes) -> None:
     path = tmp_path / name
     assert main(["calibrate", "budget", "-o", str(path)]) == 0
     assert path.read_bytes().startswith(head)
-    assert (
-        "does not exist; create it first" in printed(2, ["calibrate", "budget", "-o", str(tmp_path / "no" / name)]).err
-    )

@@ -289,7 +289,7 @@ def test_a_pipe_that_goes_quiet_grows_old(log: Path) -> None:
 
 
 def test_a_table_at_the_end_of_a_log(log: Path, printed: Printed) -> None:
-    out, err = printed(0, ["monitor", str(log)])
+    out, err = printed(0, f"monitor {log}")
     lines = out.splitlines()
     assert lines[0].startswith("vcan0: ")
     assert "SYNC 100.0 Hz" in lines[0]
@@ -297,9 +297,9 @@ def test_a_table_at_the_end_of_a_log(log: Path, printed: Printed) -> None:
     assert lines[2].startswith("5 (0x05)  ")
     assert " operational " in lines[2]
     assert (len(lines), err) == (3, "")
-    assert "no node found yet" in printed(0, ["monitor", str(log), "--nodes", "6"]).out
+    assert "no node found yet" in printed(0, f"monitor {log} --nodes 6").out
     log.write_text(log.read_text() + "nonsense\n")
-    assert "tipforce monitor: 1 bad line left out" in printed(0, ["monitor", str(log)]).err
+    assert "tipforce monitor: 1 bad line left out" in printed(0, f"monitor {log}").err
 
 
 def test_a_json_line_for_each_interval_of_the_log(log: Path, printed: Printed) -> None:
@@ -311,7 +311,7 @@ def test_a_json_line_for_each_interval_of_the_log(log: Path, printed: Printed) -
 
 
 def test_once(log: Path, printed: Printed) -> None:
-    record = json.loads(printed(0, ["monitor", str(log), "--once", "1.55", "--json"]).out)
+    record = json.loads(printed(0, f"monitor {log} --once 1.55 --json").out)
     assert record["t"] == pytest.approx(START_S + 1.55, abs=0.01)
     (view,) = record["buses"]
     (of_node,) = view["nodes"]

@@ -66,7 +66,7 @@ def test_nmt_waits_for_each_heartbeat(tipforce: Tipforce, bench: tuple[Bus, str]
     assert tipforce("nmt stop 0x06 --wait --json", code=0).records == [{"node_id": 6, "state": "stopped"}]
     assert tipforce("nmt preop 6 --wait")[1] == "   6 (0x06)  pre-operational\n"
     for command in ("reset-node", "reset-comm"):
-        assert tipforce("nmt", command, "6", "--wait") == (0, "   6 (0x06)  boot-up\n", "")
+        assert tipforce(f"nmt {command} 6 --wait") == (0, "   6 (0x06)  boot-up\n", "")
     assert bench[0].sdo(6).read(od.HEARTBEAT_PRODUCER_MS) == 1000
 
 
@@ -189,27 +189,27 @@ def test_a_new_node_shows_nothing(tipforce: Tipforce) -> None:
 def test_saved_from_one_applied_to_another(tipforce: Tipforce, bench: tuple[Bus, str], tmp_path: Path) -> None:
     path, saved = tmp_path / "wanted.toml", tmp_path / "saved.toml"
     path.write_text(FILE.replace('"contact_unknown" = 1\n', ""))
-    assert tipforce("config", "apply", 5, path, "-q") == (0, "", "")
+    assert tipforce(f"config apply 5 {path} -q") == (0, "", "")
     out = tipforce("config show 5", code=0).out
     assert "0x1802:01  tpdo3.cob_id" in out
     assert "(default 1000)" in out
     assert "0x40000385 (0x385, no RTR)   (default 0xC0000385 (0x385, off, no RTR))" in out
     assert "0x91300720 (0x9130:07, 32 bits)" in out
-    assert tipforce("config", "save", 5, saved, "-q")[0] == 0
+    assert tipforce(f"config save 5 {saved} -q")[0] == 0
     objects = tomllib.loads(saved.read_text())["objects"]
     assert objects["tpdo3.cob_id"] == "$NODEID+0x40000380"
     assert objects["tpdo2.mapping"] == ["process_value_int32:7", "status", "counter"]
-    assert tipforce("config", "diff", 5, saved, "-q") == (0, "", "")
-    assert tipforce("config", "apply", 6, saved, "-q") == (0, "", "")
+    assert tipforce(f"config diff 5 {saved} -q") == (0, "", "")
+    assert tipforce(f"config apply 6 {saved} -q") == (0, "", "")
     assert bench[0].sdo(6).read(od.TPDO3_COB_ID) == 0x40000386
-    assert tipforce("config", "diff", 6, saved, "-q") == (0, "", "")
+    assert tipforce(f"config diff 6 {saved} -q") == (0, "", "")
 
 
 def test_diff_goes_both_ways(tipforce: Tipforce, bench: tuple[Bus, str], tmp_path: Path) -> None:
     path = tmp_path / "wanted.toml"
     path.write_text('[objects]\n"heartbeat.producer_ms" = 300\n')
     bench[0].sdo(5).write(od.SYNC_WINDOW_US, 700)
-    code, out, _ = tipforce("config", "diff", 5, path, "-q")
+    code, out, _ = tipforce(f"config diff 5 {path} -q")
     assert (code, out) == (
         1,
         "sync.window_us (0x1007:00): the node has 700, is not in the file\n"
@@ -221,12 +221,12 @@ def test_diff_goes_both_ways(tipforce: Tipforce, bench: tuple[Bus, str], tmp_pat
 def test_saved_as_dcf_and_to_stdout(tipforce: Tipforce, tmp_path: Path, name: str) -> None:
     target = name if name == "-" else str(tmp_path / name)
     assert tipforce("sdo write 5 heartbeat.producer_ms 250 -q")[0] == 0
-    out = tipforce("config", "save", 5, target, "-q", code=0).out
+    out = tipforce(f"config save 5 {target} -q", code=0).out
     if name == "-":
         assert out == '[objects]\n"heartbeat.producer_ms" = 250\n'
     else:
-        assert tipforce("config", "verify", 5, target, "-q") == (0, "", "")
-        assert tipforce("config", "verify", 6, target, "-q")[0] == 1
+        assert tipforce(f"config verify 5 {target} -q") == (0, "", "")
+        assert tipforce(f"config verify 6 {target} -q")[0] == 1
 
 
 def test_another_device_is_compared_with_nothing(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
@@ -277,12 +277,12 @@ def hand(tmp_path: Path) -> Iterator[tuple[ExitStack, Path]]:
 
 
 def test_check_needs_no_bus(hand: tuple[ExitStack, Path], printed: Printed) -> None:
-    out, err = printed(0, ["hand", "check", str(hand[1])])
+    out, err = printed(0, f"hand check {hand[1]}")
     assert "thumb" in out
     assert "cal.toml 0x" in out
     assert "bus load" in err
     hand[1].write_text(hand[1].read_text().replace("sync_hz = 50", "sync_hz = 5000"))
-    out, err = printed(0, ["hand", "check", str(hand[1]), "--json"])
+    out, err = printed(0, f"hand check {hand[1]} --json")
     assert [json.loads(line)["node_id"] for line in out.splitlines()] == [1, 2]
     assert "warning" in err
     assert "what fits under 80 %" in err
@@ -290,7 +290,7 @@ def test_check_needs_no_bus(hand: tuple[ExitStack, Path], printed: Printed) -> N
 
 def test_up_reports_each_finger(hand: tuple[ExitStack, Path], printed: Printed) -> None:
     power, path = hand
-    out, err = printed(0, ["hand", "up", str(path)])
+    out, err = printed(0, f"hand up {path}")
     assert out == "thumb (1): up\nindex (2): up\n"
     assert "2 of 2 fingers up" in err
     power.close()
@@ -310,13 +310,13 @@ def test_run_prints_rows_and_counts(hand: tuple[ExitStack, Path], printed: Print
     assert {"calibrated", "started"} <= {line["event"] for line in lines if "event" in line}
     assert "SYNC period" in err
     assert "thumb (1): missing" in err
-    assert "thumb: P " in printed(0, ["hand", "run", str(hand[1]), "--seconds", "0.3", "-q"]).out
+    assert "thumb: P " in printed(0, f"hand run {hand[1]} --seconds 0.3 -q").out
 
 
 def test_an_uncalibrated_finger_is_named_and_its_rows_say_why(hand: tuple[ExitStack, Path], printed: Printed) -> None:
     path = hand[1]
     path.write_text(path.read_text().replace('calibration = "cal.toml"', "", 1))
-    out, err = printed(0, ["hand", "up", str(path)])
+    out, err = printed(0, f"hand up {path}")
     assert "thumb (1): up, not calibrated: P, phi and theta are unknown" in out
     assert "node 1 (0x01): not calibrated: tipforce calibrate guide --node 1, or apply CAL.toml\n" in err
     rows = [record for record in printed(0, f"hand run {path} --seconds 0.3 --json").records if "row" in record]
