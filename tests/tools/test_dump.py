@@ -250,13 +250,6 @@ def test_a_bus_of_python_can(capsys: pytest.CaptureFixture[str]) -> None:
     ]
 
 
-def test_an_uncalibrated_finger_is_told_once_what_calibrates_it(capsys: pytest.CaptureFixture[str]) -> None:
-    with repeated("dump5", message(0x285, bytes.fromhex("0080008000800003"))):
-        assert main(["dump", "-i", "virtual", "-c", "dump5", "-n", "3", "--decode", "--json"]) == 0
-    expected = "node 5 (0x05): not calibrated: tipforce calibrate guide --node 5, or apply CAL.toml\n"
-    assert capsys.readouterr().err == expected
-
-
 def test_filters_remote_and_fd(capsys: pytest.CaptureFixture[str]) -> None:
     sent = [
         message(0x285, CONTACT),

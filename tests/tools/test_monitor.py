@@ -15,7 +15,7 @@ import pytest
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.host.frames.frame_array import FRAME, FrameArray, frame_array
 from tipforce.host.logs.reader import open_log
-from tipforce.watching.bus_monitor import WINDOW_NS, BusView, Monitor, NodeView, Window
+from tipforce.watching.bus_monitor import BusView, Monitor, NodeView, Window
 from tipforce.watching.frame_sources import LogSource, PipeSource
 from tipforce_tools.monitor import session
 from tools.hand_log import START_S, Fault, contact_pdo, hand_log
@@ -206,19 +206,6 @@ def test_the_same_node_on_two_buses() -> None:
     monitor.feed(frames, ["can0", "can1"])
     views = monitor.views()
     assert [(view.name, view.nodes[0].readings["P"].value) for view in views] == [("can0", 1.0), ("can1", 2.0)]
-
-
-def test_a_window_forgets() -> None:
-    rng = np.random.default_rng(3)
-    window, t_ns = Window(columns=1), np.sort(rng.integers(0, 10 * WINDOW_NS, 5000))
-    for part in np.array_split(t_ns, 37):
-        window.add(part, np.full(len(part), 7))
-    recent = t_ns[t_ns > t_ns[-1] - WINDOW_NS]
-    assert window.rate_hz(int(t_ns[-1])) == pytest.approx((len(recent) - 1) * 1e9 / (recent[-1] - recent[0]))
-    assert window.sums(int(t_ns[-1])) == pytest.approx([7e9 * len(recent) / (recent[-1] - recent[0])])
-    periods = window.periods()
-    assert periods is not None
-    assert periods.max_ms == pytest.approx(np.diff(recent).max() * 1e-6)
 
 
 def test_a_clock_that_was_set_back_starts_anew() -> None:
