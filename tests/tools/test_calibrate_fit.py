@@ -94,7 +94,7 @@ def test_the_file_has_the_digits_that_were_told_and_gives_the_covariance_again(
     assert table["outlier_lines"] == [int(row) + 2 for row in np.flatnonzero(sim.true_outlier)]
     # S and N alone give nearly the same.
     path.write_text(path.read_text().replace("parameter_covariance_microstrain2", "covariance"))
-    assert np.shape(Calibration.read(path).parameter_covariance) == (3, 4, 3, 4)
+    assert np.asarray(Calibration.read(path).parameter_covariance).shape == (3, 4, 3, 4)
 
 
 def test_the_last_bits_of_the_arithmetic_change_no_file(sim: Simulated, tmp_path: Path, fitted: Fitted) -> None:

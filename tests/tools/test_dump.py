@@ -208,13 +208,6 @@ def test_strict_stops_at_the_first_bad_line(piped: Tipforce) -> None:
     assert piped(GOOD.rstrip("\n"), "-L", "-").out == GOOD, "the last line may lack its end"
 
 
-def test_bytes_that_are_no_text() -> None:
-    noise = bytes(range(256)) * 1000
-    done = subprocess.run([*DUMP, "-"], input=noise, capture_output=True, timeout=60, check=False)
-    assert (done.returncode, done.stdout) == (1, b"")
-    assert b"no frames in it; is it a log?" in done.stderr
-
-
 def test_a_live_pipe_is_shown_at_once() -> None:
     with subprocess.Popen([*DUMP, "--decode", "-"], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdin is not None

@@ -81,13 +81,6 @@ WRONG_PLACES = [
 ]
 
 
-def test_what_cannot_be_written(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="allowed are 3 to 8"):
-        layout_text(FABRICATED, PLACES[:2])
-    with pytest.raises(InputError, match="absent does not exist; create it first"):
-        write_layout(tmp_path / "absent" / "layout.toml", FABRICATED, PLACES[:3])
-
-
 def test_the_node_reads_what_the_layout_says(tmp_path: Path, devices: list[Device]) -> None:
     path = tmp_path / "layout.toml"
     write_layout(path, ODD, PLACES)

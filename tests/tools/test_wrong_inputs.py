@@ -146,6 +146,10 @@ dump ,181:7FF - => no channel
 dump - - => only one
 dump -L -a - => -L and -a
 dump -ta untimed.log | replay untimed.log X | plot untimed.log -o x.png => no timestamps
+decode --from 1 untimed.log -o x.csv => no timestamps
+decode run.log -o taken => taken/: is not empty and not a dataset
+decode run.log -o data/ --resample 10 | decode run.log -o data/ --calibration cal.toml => leave out --calibration
+decode run.log -o a.csv --hand left => --hand: is a partition of a dataset
 log -o run.log X => @ exists
 log -o run.xyz X | log -o run.blf.gz X | log -o run X => allowed are .asc,
 log run.log X => allowed are buses
@@ -313,6 +317,7 @@ decode j1939.log | plot j1939.log -o x.svg => all have 29-bit identifiers, which
 monitor j1939.log => all have 29-bit identifiers, which CANopen does not use
 decode other.log -o x.csv | view other.log => `tipforce dump --decode` shows what they are
 dump prose.txt => other formats: `tipforce decode`
+dump binary.toml => binary.toml: no frames in it; is it a log?
 exit 5
 scan --nodes 50-60 --wait 0.01 BUS => is the bus powered and terminated, is the bit rate right?
 scan --nodes 50 --wait 0 -q BUS =>
@@ -364,7 +369,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def files(folder: Path) -> dict[Path, bytes]:
-    return {path: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    paths = (*folder.iterdir(), *(folder / "taken").iterdir())
+    return {path: path.read_bytes() for path in paths if path.is_file()}
 
 
 @pytest.mark.parametrize(("command", "code", "text"), WRONG, ids=[command for command, _, _ in WRONG])
