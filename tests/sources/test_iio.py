@@ -444,14 +444,6 @@ def test_a_buffer_whose_device_is_pulled_out_and_comes_back(
     assert [entry.levelno for entry in caplog.records] == [logging.WARNING] * 2
 
 
-def test_a_device_without_a_buffer_says_so(tree: Tree) -> None:
-    tree.add(0, "a", {"voltage": 1})
-    with pytest.raises(
-        EnvironmentLackError, match=r"iio:device0 \(adc, a\): buffered capture cannot be set up: .*poll"
-    ):
-        BufferedDevice(iio_sysfs.find("device0", tree.root), ["voltage"], "timer", tree.dev)
-
-
 def test_triggers_by_name_and_the_devices_own(tree: Tree) -> None:
     tree.add(2, "a", {"voltage": 1}, "nau7802")
     own, timer = tree.add_trigger(0, "nau7802-dev2"), tree.add_trigger(1, "tipforce")
