@@ -75,10 +75,10 @@ class RecordedFirmware:
         self.rig = rig.Rig(json.loads(json.dumps(header)))
         self.pending: list[str] = []  # what happens at the next step besides frames
         firmware = self.rig.firmware
-        self._groups = {name: bytes.fromhex(content) for name, content in header["groups"].items()}
+        self._groups = {name: bytes.fromhex(content) for name, content in (groups or {}).items()}
         # Readings pass through the tap in the order in which the two devices ask: both are built first.
         self._plain = fingertip_node(
-            header["node_id"], _Tap(firmware.gauges), header["n"], header["serial"],
+            node_id, _Tap(firmware.gauges), n, serial,
             lambda name, data: self._groups.update({name: data}) is None, self._groups.get,
         )  # fmt: skip
         self._plain.lss.bit_rate = rig.BIT_RATE

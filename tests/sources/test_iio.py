@@ -258,7 +258,7 @@ def test_saturation_then_a_broken_wire(three: Tree) -> None:
 def test_a_value_that_stands_still_where_noise_is_known(three: Tree) -> None:
     talk = Talk(source(polled(three)))
     data = record(noise_strain=1e-6)  # two counts
-    calibration = talk.device.application.calibration  # type: ignore[union-attr]
+    calibration = talk.device.application.calibration
     assert calibration is not None
     calibration.active = Active(data, list(struct.unpack(calibration.packing, data)), 3)
     wiggle = iter(range(10_000))
