@@ -35,7 +35,6 @@ from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
 from tipforce.host.network.bus import Bus
-from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.lss import LssMaster
 from tipforce.host.network.nmt import Heartbeats
 from tipforce.host.network.sdo import Exchange, Request, SdoChannel
@@ -182,6 +181,7 @@ class Connection(Bus):
             line.put(message.arbitration_id, bytes(message.data), seen=echo)
 
         self._line, self._sdo = line, dict[int, Channel]()
+        self._lock, self._fingers = threading.Lock(), {}
         self.network = canopen.Network(SimpleNamespace(send=send))  # type: ignore[arg-type]
         self.heartbeats, self.duplicates = Heartbeats(), DuplicateNodes()
         self.heartbeats._arrived.wait = self._let_time_pass  # type: ignore[method-assign, assignment]
@@ -334,7 +334,7 @@ def simulated_hand(
         patch.setattr(threading, "Thread", lambda **_options: thread)
         line.run(0.01)
         for n in NODE_IDS:
-            FingertipClient(link.connection.sdo(n)).apply_calibration(beam_calibration(), store=True)
+            link.connection.finger(n).apply_calibration(beam_calibration(), store=True)
         _bring_up(hand)
         hand.start()
         seen = SimulatedHand(line, hand)

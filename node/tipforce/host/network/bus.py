@@ -50,7 +50,7 @@ class Bus:
             raise InputError(f"retries = {retries!r}: allowed are whole numbers from 0")
         self._retries = retries
         self._channels: dict[int, SdoChannel] = {}
-        self._fingers: dict[int, Finger] = {}
+        self._fingers: dict[tuple[int, bool, int], Finger] = {}
         self._lock = threading.Lock()
         self._foreign_sync_s: tuple[float, float] = (-math.inf, 0.0)
         self._own_sync_s = -math.inf
@@ -126,12 +126,9 @@ class Bus:
         """
         from tipforce.host.network.finger import Finger
 
-        sdo = self.sdo(node_id)
+        finger = Finger(self, node_id, passive=passive, default_gauges=gauges)
         with self._lock:
-            finger = self._fingers.get(node_id)
-            if finger is None or (finger.passive, finger.default_gauges) != (passive, gauges):
-                finger = self._fingers[node_id] = Finger(self, sdo, passive=passive, default_gauges=gauges)
-            return finger
+            return self._fingers.setdefault((node_id, passive, gauges), finger)
 
     def scan(self, node_ids: Iterable[int] = range(1, 128), wait_s: float = 1.2) -> list[FoundNode]:
         """Return the nodes on the bus. See ``find_nodes``."""
