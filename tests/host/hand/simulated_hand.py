@@ -34,9 +34,8 @@ from tipforce.host.hand import hand as hand_module
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
-from tipforce.host.network.bus import Bus
+from tipforce.host.network.bus import Bus, Heartbeats
 from tipforce.host.network.lss import LssMaster
-from tipforce.host.network.nmt import Heartbeats
 from tipforce.host.network.sdo import Exchange, Request, SdoChannel
 from tipforce.samples.reasons import PRESENT
 from tipforce.samples.record import Rows

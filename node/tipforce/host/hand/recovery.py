@@ -22,10 +22,9 @@ from tipforce.host.hand.events import Event, Kind, Supervisor
 from tipforce.host.hand.file import HandFile
 from tipforce.host.hand.rows import Collector
 from tipforce.host.hand.trust import COUNTER
-from tipforce.host.network.bus import Bus
+from tipforce.host.network.bus import Bus, command_and_wait
 from tipforce.host.network.finger import Finger
 from tipforce.host.network.lss import LssMaster
-from tipforce.host.network.nmt import command_and_wait
 
 LOST = 0
 """Node-id that represents all nodes without one."""
