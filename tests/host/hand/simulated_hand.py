@@ -24,7 +24,6 @@ import pytest
 
 from canopen_device.core.node import Device
 from host.bus_with_nodes import beam_calibration
-from tipforce.dictionary.entries import Entry
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.decoding.duplicates import DuplicateNodes
@@ -249,7 +248,7 @@ class SimulatedHand:
         self.master = Connection(line)
         self.events: list[Event] = []
         self.rows: list[Rows] = []
-        self.shown = self.wrong = 0
+        self.shown = 0
         self.wrongs: list[str] = []
         hand.on_event(self.events.append)
         hand.on_rows(self._check)
@@ -274,7 +273,6 @@ class SimulatedHand:
                 off = abs(P - force_newtons(t_us, node_id)) > TOLERANCE_NEWTONS
                 off |= abs(phi - 10.0) > TOLERANCE_DEG or abs(theta - 30.0) > TOLERANCE_DEG
                 if off and not accepted:
-                    self.wrong += 1
                     self.wrongs.append(f"{t_us * 1e-6:.3f} s: finger {node_id} shows {P:.3f} N, {phi:.1f}, {theta:.1f}")
 
     def is_shown(self, node_id: int, seconds: float = 0.1) -> bool:
@@ -283,16 +281,6 @@ class SimulatedHand:
         self.line.run(seconds)
         k = NODE_IDS.index(node_id)
         return bool(self.rows) and all((rows.reason[:, k] == PRESENT).all() for rows in self.rows)
-
-    def write(self, entry: Entry[Any], value: Any, node_id: int = 2) -> bool:
-        """By the other master; return whether the node accepted it."""
-        from tipforce.errors import SdoAbortError
-
-        try:
-            self.master.sdo(node_id).write(entry, value)
-        except SdoAbortError:
-            return False
-        return True
 
 
 @contextlib.contextmanager
