@@ -55,7 +55,7 @@ def test_a_bus_hears_others_but_not_itself_and_survives_foreign_datagrams() -> N
     done = in_namespace(ROUTE, "-c", """if True:
         import socket
         import can
-        from tipforce.host.network.open_bus import open_bus
+        from tipforce.host.network.interfaces import open_bus
         from canopen_device.running.udp_multicast import DEFAULT_GROUP as group
         frame = can.Message(arbitration_id=0x123, data=b"own", is_extended_id=False)
         with open_bus(interface="udp_multicast", channel=group) as one, open_bus(interface="udp_multicast") as other:

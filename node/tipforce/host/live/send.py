@@ -88,7 +88,7 @@ class PythonCanSender:
 
     def __init__(self, options: Mapping[str, Any]) -> None:
         """Open the bus. Raises EnvironmentLackError if it cannot be opened."""
-        from tipforce.host.network.open_bus import open_bus
+        from tipforce.host.network.interfaces import open_bus
 
         self._name = str(options.get("channel") or options.get("interface") or "the bus")
         self._bus = open_bus(**options)
