@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from functools import partial
 from itertools import count, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 from canopen_device.core.codes import ERROR_FLAG
 from tipforce.errors import InputError, TipforceError
@@ -22,13 +22,10 @@ from tipforce_tools.cli.listening import StopSignals, counted
 from tipforce_tools.cli.main import INTERRUPTED
 
 if TYPE_CHECKING:
-    from tipforce.host.frames.frame_block import CandumpBlock, FdFrame
+    from tipforce.host.frames.frame_block import CandumpBlock, Frame
     from tipforce.host.live.send import Sender
     from tipforce.host.logs.candump import CandumpParser
     from tipforce.host.logs.notes import LogNotes
-
-    Frame: TypeAlias = FdFrame | tuple[int, int, int, bytes, int, bool]
-    """As CandumpBlock.in_order has them: t_ns, identifier, length, data, number of the interface, sent."""
 
 DESCRIPTION = """\
 Send the frames of a log with their recorded timing. LOG is candump text (plain, gzip or zstd; - reads stdin) or any
@@ -113,8 +110,6 @@ def run(args: argparse.Namespace) -> int:
 
 def _frames(args: argparse.Namespace, parser: CandumpParser) -> Iterator[tuple[float, str, Frame]]:
     """Yield all frames in order, --loop times: seconds after the start, interface, frame. Raises InputError."""
-    from tipforce.host.frames.frame_block import FdFrame
-
     clock = Clock(args.speed, args.max_gap)
     for _ in islice(count(), args.loop):
         clock.begin_again()
@@ -124,8 +119,7 @@ def _frames(args: argparse.Namespace, parser: CandumpParser) -> Iterator[tuple[f
                 raise InputError(f"{args.log} has no timestamps: record it with candump -L or `tipforce log`")
             empty = empty and not len(block)
             for frame in block.in_order():
-                t_ns, interface = (frame.t_ns, frame.interface) if isinstance(frame, FdFrame) else (frame[0], frame[4])
-                yield clock.due_s(t_ns), block.names[interface], frame
+                yield clock.due_s(frame[0]), block.names[frame[4]], frame
         if empty:
             return
 
@@ -257,20 +251,16 @@ class Buses:
             self.left_out[f"of {name}, which no assignment names"] += 1
 
     def _send(self, frame: Frame, target: str) -> None:
-        from tipforce.host.frames.frame_block import FdFrame
         from tipforce.host.live.send import NotCarriedError
 
-        can_id = frame.can_id if isinstance(frame, FdFrame) else frame[1]
+        _, can_id, length, data, _, _, fd_flags = frame
         sender = self._senders.get(target) or self._open(target)
         virtual = self._options.get("interface") in _VIRTUAL or "vcan" in target
         if can_id & ERROR_FLAG and not virtual:
             self.left_out["error frames, which only a virtual bus can send"] += 1
             return
         try:
-            if isinstance(frame, FdFrame):
-                sender.send_fd(frame)
-            else:
-                sender.send(can_id, frame[2], frame[3])
+            sender.send(can_id, length, data, fd_flags)
             self.sent += 1
         except NotCarriedError as error:
             self.left_out[f"because {error}"] += 1
