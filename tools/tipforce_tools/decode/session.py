@@ -152,7 +152,7 @@ class _Run:
         with self._output([name for name in self.names if name != "-"]) as file:
             if file is not None and kind in {"parquet", "csv"}:
                 with JoinedFile(file, kind, shape := Shape(base)) as joined:
-                    joined.add(0, joined.sink.write(0, looked_ahead(self._tables(advance)), shape), shape)
+                    joined.add(joined.write(0, looked_ahead(self._tables(advance)), shape), shape)
                 return
             with nullcontext(sys.stdout.buffer) if file is None else file.partial.open("wb") as stream:
                 if kind == "mcap":
@@ -178,10 +178,10 @@ class _Run:
         with self._output([piece.name for piece in pieces]) as file:
             assert file is not None
             with JoinedFile(file, self._kind, shape) as output:
-                workers = _workers(self._args, self._reading, output.sink, len(pieces))
+                workers = _workers(self._args, self._reading, output, len(pieces))
                 for written in InOrder(pieces, self._recording, shape, workers):
                     self.summary.append(written.summary)
-                    output.add(written.number, written.record, written.shape)
+                    output.add(written.record, written.shape)
                     advance(_size(written.piece))
 
     @contextmanager
