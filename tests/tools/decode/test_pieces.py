@@ -121,9 +121,9 @@ def test_the_same_first_bad_line(log: Path, tmp_path: Path, capsys: pytest.Captu
     number = spoil(log, 0.7)
     said = []
     for jobs in (1, 3):
-        assert decode(log, "--strict", "-o", tmp_path / "a.csv", "--jobs", jobs) == 1
+        assert decode(log, "--strict", "-o", tmp_path / "a[1].csv", "--jobs", jobs) == 1
         said.append(capsys.readouterr().err)
-        assert not (tmp_path / "a.csv").exists()
+        assert [*tmp_path.iterdir()] == [log]
     assert said[1] == said[0]
     assert f"{log}: line {number}:" in said[0]
 

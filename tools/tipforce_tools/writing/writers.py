@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import tempfile
 from collections.abc import Iterable, Sequence
@@ -170,7 +171,7 @@ class JoinedFile:
             if kind is None:
                 self._join([self._path(number) for number in range(len(self._parts))])
         finally:
-            for path in self._beside.parent.glob(f"{self._beside.name}.*"):
+            for path in self._beside.parent.glob(f"{glob.escape(self._beside.name)}.*"):
                 path.unlink()
 
     def _join(self, paths: list[Path]) -> None:
