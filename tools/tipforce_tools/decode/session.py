@@ -140,8 +140,8 @@ class _Run:
             self._write_all(advance)
 
     def _tables(self, advance: Callable[[float], None], tap: Tap | None = None) -> Iterable[Table]:
-        found = tables_of_logs(self._recording, self.names, _positions(advance), tap)
-        return self._resampled(self.summary.passing(self._contact(found)))
+        tables = tables_of_logs(self._recording, self.names, advance, tap)
+        return self._resampled(self.summary.passing(self._contact(tables)))
 
     def _write_all(self, advance: Callable[[float], None]) -> None:
         """Write the rows, which pass through this process."""
@@ -272,18 +272,6 @@ def _progress(args: Namespace, names: Sequence[str]) -> Iterator[Callable[[float
         return
     with common.progress("bytes", total) as advance:
         yield advance
-
-
-def _positions(advance: Callable[[float], None]) -> Callable[[int], None]:
-    """Return what takes the position in the current log; a smaller one than before means the next log."""
-    before = 0
-
-    def move(position: int) -> None:
-        nonlocal before
-        advance(position - before if position >= before else position)
-        before = position
-
-    return move
 
 
 def _looked_ahead(tables: Iterable[Table]) -> Iterator[Table]:

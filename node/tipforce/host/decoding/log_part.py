@@ -79,7 +79,8 @@ def _decoder(layouts: Layouts, services: bool) -> Decoder:
     return layouts.decoder(services=services)
 
 
-Progress = Callable[[int], None]
+Progress = Callable[[float], None]
+"""Takes the bytes of a log that are read since its last call."""
 
 
 class Source(LogReader):
@@ -98,10 +99,13 @@ class Source(LogReader):
     def __iter__(self) -> Iterator[FrameArray]:
         """Yield blocks of frames, none empty. Raises InputError, StrictError."""
         with self:
+            done = 0
             for block in self._read():
                 frames = self._chosen(block)
                 if self._progress is not None:
-                    self._progress(self.position)
+                    position = self.position  # a thread reads ahead
+                    self._progress(position - done)
+                    done = position
                 if len(frames):
                     yield frames
 
