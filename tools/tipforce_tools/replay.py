@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
-from functools import partial
+from io import FileIO
 from itertools import count, islice
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -150,26 +149,23 @@ def log_blocks(name: str, parser: CandumpParser) -> Iterator[CandumpBlock]:
     ``parser`` counts the bad lines of text; if it is strict, BadLineError is raised at the first, after the frames
     before it. Raises InputError for a file that cannot be read.
     """
-    if name == STDIN:
-        from tipforce.host.logs.candump import text_blocks
-
-        return text_blocks(partial(os.read, sys.stdin.fileno()), parser)
     path = Path(name)
     suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() not in {".gz", ".zst"}]
     is_text = not suffixes or suffixes[-1] in _TEXT_SUFFIXES
-    return _text_blocks(path, parser) if is_text else _message_blocks(path)
+    return _text_blocks(name, parser) if is_text else _message_blocks(path)
 
 
-def _text_blocks(path: Path, parser: CandumpParser) -> Iterator[CandumpBlock]:
+def _text_blocks(name: str, parser: CandumpParser) -> Iterator[CandumpBlock]:
     from tipforce.host.logs.candump import text_blocks
     from tipforce.host.logs.lines import open_file
     from tipforce.host.logs.unpacking import decompressed
 
-    with open_file(path) as file:
+    stdin = name == STDIN
+    with FileIO(sys.stdin.fileno(), closefd=False) if stdin else open_file(Path(name)) as file:
         try:
-            yield from text_blocks(decompressed(file, str(path)).read, parser)
+            yield from text_blocks(file.read if stdin else decompressed(file, name).read, parser)
         except (OSError, EOFError) as error:
-            raise InputError(f"{path}: {error}") from error
+            raise InputError(f"{name}: {error}") from error
 
 
 def _message_blocks(path: Path) -> Iterator[CandumpBlock]:

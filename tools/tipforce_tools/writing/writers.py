@@ -87,8 +87,10 @@ class Shape:
         return not begun or not (new or several)
 
 
-def lines_of(table: Table, kind: str, base: tuple[str, ...]) -> bytes:
-    """Format JSON lines or text, with the channel where there are several."""
+def lines_of(table: Table, kind: str, base: tuple[str, ...], columns: tuple[Column | str, ...]) -> bytes:
+    """Format CSV with these columns, or JSON lines or text, with the channel where there are several."""
+    if kind == "csv":
+        return text_rows.csv_rows(table, (*base, *columns))
     if len(table.channels) > 1 and CHANNEL not in base:
         base = (base[0], CHANNEL, *base[1:])
     if kind == "jsonl":
@@ -101,22 +103,19 @@ class StreamWriter:
 
     def __init__(self, stream: BinaryIO, kind: str, base: tuple[str, ...]) -> None:
         self._stream, self._kind, self._shape = stream, kind, Shape(base)
-        self._shown: tuple[Column | str, ...] = ()
+        self._shown: tuple[Column | str, ...] | None = None
         self.left_out: set[str] = set()
 
     def write(self, table: Table) -> None:
         """Append the rows of a table. CSV keeps its first columns: ``left_out`` names the others. Raises OSError."""
-        self._shape.fits(table)
-        self._stream.write(lines_of(table, self._kind, self._shape.base) if self._kind != "csv" else self._csv(table))
+        shape, is_csv = self._shape, self._kind == "csv"
+        shape.fits(table)
+        header = text_rows.csv_header((*shape.base, *shape.columns)) if is_csv and self._shown is None else b""
+        self._shown = shape.columns if self._shown is None else self._shown
+        self._stream.write(header + lines_of(table, self._kind, shape.base, self._shown))
         self._stream.flush()
-
-    def _csv(self, table: Table) -> bytes:
-        start = b""
-        if not self._shown:
-            self._shown = (*self._shape.base, *self._shape.columns)
-            start = text_rows.csv_header(self._shown)
-        self.left_out |= {text_rows.name_of(column) for column in self._shape.columns if column not in self._shown}
-        return start + text_rows.csv_rows(table, self._shown)
+        if is_csv:
+            self.left_out |= {text_rows.name_of(column) for column in shape.columns if column not in self._shown}
 
 
 Pieces = list[tuple[int, int]]
@@ -151,10 +150,7 @@ class JoinedFile:
                     if self._kind == "csv" and not pieces and number == 0:  # the header, if this is the whole file
                         file.write(text_rows.csv_header((*shape.base, *shape.columns)))
                     pieces.append((file.tell(), len(shape.columns)))
-                if self._kind == "csv":
-                    file.write(text_rows.csv_rows(table, (*shape.base, *shape.columns)))
-                else:
-                    file.write(lines_of(table, self._kind, shape.base))
+                file.write(lines_of(table, self._kind, shape.base, shape.columns))
         return pieces
 
     def add(self, pieces: Pieces, shape: Shape) -> None:
