@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -125,24 +126,15 @@ def fit(**columns: object) -> object:
 
 ARRAYS: dict[str, tuple[Callable[..., object], dict[str, object]]] = {
     "estimate": (
-        lambda microstrain, temperature_degC: tipforce.estimate(
-            CALIBRATION, microstrain, temperature_degC=temperature_degC
-        ),
-        {"microstrain": [[1.0, 2.0, 3.0]], "temperature_degC": [20.0]},
+        partial(tipforce.estimate, CALIBRATION), {"microstrain": [[1.0, 2.0, 3.0]], "temperature_degC": [20.0]}
     ),
-    "Estimator": (
-        lambda microstrain, temperature_degC: tipforce.Estimator(CALIBRATION)(
-            microstrain, temperature_degC=temperature_degC
-        ),
-        {"microstrain": [1.0, 2.0, 3.0], "temperature_degC": 20.0},
-    ),
+    "Estimator": (tipforce.Estimator(CALIBRATION), {"microstrain": [1.0, 2.0, 3.0], "temperature_degC": 20.0}),
     "Calibration.from_microstrain": (
         tipforce.Calibration.from_microstrain,
         {"matrix": CALIBRATION.C * 1e-6, "offset": [0.0, 1.0, 2.0], "covariance": SQUARE},
     ),
     "Calibration.from_microstrain noise": (
-        lambda noise: tipforce.Calibration.from_microstrain(CALIBRATION.C * 1e-6, noise=noise),
-        {"noise": [1.0, 2.0, 1.0]},
+        partial(tipforce.Calibration.from_microstrain, CALIBRATION.C * 1e-6), {"noise": [1.0, 2.0, 1.0]}
     ),
     "Calibration": (
         tipforce.Calibration,
@@ -155,8 +147,7 @@ ARRAYS: dict[str, tuple[Callable[..., object], dict[str, object]]] = {
     ),
     "Readings": (fit, {name: getattr(GOOD, name) for name in ("strain", "P_newtons", "phi_rad", "theta_rad")}),
     "Readings by time": (
-        fit,
-        {"t_s": np.arange(30.0), "weight": np.ones(30), "temperature_degC": np.full(30, 20.0)},
+        fit, {"t_s": np.arange(30.0), "weight": np.ones(30), "temperature_degC": np.full(30, 20.0)}
     ),
     "Model": (
         lambda **given: tipforce.fit_calibration(GOOD, sensor.Model(**given)),
@@ -166,11 +157,9 @@ ARRAYS: dict[str, tuple[Callable[..., object], dict[str, object]]] = {
         lambda A: tipforce.fit_calibration(GOOD, sensor.Model(prior=sensor.Prior(A))),
         {"A": sensor.strain_matrix(FABRICATED, "I")},
     ),
-    "apparent_force": (
-        lambda wrenches: sensor.apparent_force(FABRICATED, "I", wrenches), {"wrenches": np.zeros((1, 6))}
-    ),
+    "apparent_force": (partial(sensor.apparent_force, FABRICATED, "I"), {"wrenches": np.zeros((1, 6))}),
     "condition_number": (sensor.condition_number, {"matrix": SQUARE}),
-    "contacts": (lambda F_newtons: sensor.contacts(F_newtons, pull=True), {"F_newtons": [1.0, 0.0, 2.0]}),
+    "contacts": (partial(sensor.contacts, pull=True), {"F_newtons": [1.0, 0.0, 2.0]}),
     "covariance_of_estimate": (
         sensor.covariance_of_estimate,
         {
@@ -179,10 +168,7 @@ ARRAYS: dict[str, tuple[Callable[..., object], dict[str, object]]] = {
         },
     ),
     "curvature": (sensor.curvature, {"F_newtons": [1.0, 0.0, 2.0], "covariance_F": SQUARE}),
-    "detect": (
-        lambda strain, variance_factor: sensor.detect(PARITY, strain, variance_factor=variance_factor),
-        {"strain": np.zeros((2, 4)), "variance_factor": [1.0, 1.0]},
-    ),
+    "detect": (partial(sensor.detect, PARITY), {"strain": np.zeros((2, 4)), "variance_factor": [1.0, 1.0]}),
     "first_order_holds": (sensor.first_order_holds, {"F_newtons": [1.0, 0.0, 2.0], "covariance_F": SQUARE}),
     "force_from_strain": (
         sensor.force_from_strain,
@@ -191,18 +177,14 @@ ARRAYS: dict[str, tuple[Callable[..., object], dict[str, object]]] = {
     "force_vector": (sensor.force_vector, {"P_newtons": [1.0], "phi_rad": [0.0], "theta_rad": [0.0]}),
     "linear_fit": (sensor.linear_fit, {"strain": SQUARE, "F_newtons": SQUARE}),
     "noise_gain": (sensor.noise_gain, {"C": SQUARE}),
-    "off_axis_wrenches": (
-        lambda theta_rad: sensor.off_axis_wrenches(FABRICATED, theta_rad), {"theta_rad": [0.1, 0.2]}
-    ),
+    "off_axis_wrenches": (partial(sensor.off_axis_wrenches, FABRICATED), {"theta_rad": [0.1, 0.2]}),
     "overload": (
-        lambda times_s, loads_newtons: tipforce_lab.overload(MODES, SLIT, times_s, loads_newtons),
-        {"times_s": np.arange(3) * 1e-4, "loads_newtons": np.zeros((3, 3))},
+        partial(tipforce_lab.overload, MODES, SLIT), {"times_s": np.arange(3) * 1e-4, "loads_newtons": np.zeros((3, 3))}
     ),
     "parity": (sensor.parity, {"C": C4, "covariance_strain2": 1e-12 * np.eye(4)}),
     "respond": (lambda loads_newtons: sensor.respond(MODES, loads_newtons, 1e-4), {"loads_newtons": np.zeros((5, 3))}),
     "standard_uncertainties": (
-        lambda F_newtons, covariance_F: sensor.standard_uncertainties(F_newtons, covariance_F, pull=True),
-        {"F_newtons": [1.0, 0.0, 2.0], "covariance_F": SQUARE},
+        partial(sensor.standard_uncertainties, pull=True), {"F_newtons": [1.0, 0.0, 2.0], "covariance_F": SQUARE}
     ),
 }  # fmt: skip
 

@@ -5,19 +5,14 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
-import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, expect, sync_playwright
+from playwright.sync_api import Browser, expect
 
 ROOT = Path(__file__).parents[2]
-CHROMIUM = next(
-    (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), ""
-)
 LOADED = re.compile(
     r"""<(?:script|img|iframe|source)[^>]*\bsrc="?https?:"""
     r"""|<link[^>]*rel="?(?:stylesheet|preconnect)"?[^>]*href="?https?:"""
@@ -67,16 +62,6 @@ def test_the_reference_shows_the_public_packages(site: Path) -> None:
         assert "Source code in" not in text
         for package in packages:
             assert f'<h1 id="{re.sub("[._]", "", package)}"' in text or f'<h1 id="{package.replace(".", "")}"' in text
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    """One browser for all tests."""
-    assert CHROMIUM, "these tests need Chromium: tools/bootstrap.sh test installs it"
-    with sync_playwright() as playwright:
-        found = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield found
-        found.close()
 
 
 def test_the_search_works_from_the_disk(site: Path, browser: Browser) -> None:

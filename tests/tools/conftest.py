@@ -52,20 +52,22 @@ def bus_words() -> tuple[str, ...]:
 
 @pytest.fixture
 def tipforce(bus_words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> Tipforce:
-    """Run a command line, given as a text or as words."""
+    """Run a command line, given as a text or as words, that must end with ``code``, if that is given."""
 
-    def run(*words: object) -> Ended:
+    def run(*words: object, code: int | None = None) -> Ended:
         line = str(words[0]).split() if len(words) == 1 else words
-        return called(capsys, *line, *bus_words)
+        ended = called(capsys, *line, *bus_words)
+        assert code in (None, ended.code), ended.err
+        return ended
 
     return run
 
 
 @pytest.fixture
 def printed(capsys: pytest.CaptureFixture[str]) -> Printed:
-    def run(code: int, words: Sequence[str]) -> Streams:
+    def run(code: int, words: str | Sequence[object]) -> Streams:
         capsys.readouterr()
-        ended = main(words)
+        ended = main([str(word) for word in (words.split() if isinstance(words, str) else words)])
         result = Streams(*capsys.readouterr())
         assert ended == code, result.err
         return result

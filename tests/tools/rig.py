@@ -66,9 +66,13 @@ class Streams(NamedTuple):
     out: str
     err: str
 
+    @property
+    def records(self) -> list[dict[str, Any]]:
+        return [json.loads(line) for line in self.out.splitlines()]
 
-Printed = Callable[[int, Sequence[str]], Streams]
-"""Run a command line that must end with this exit code; what it printed."""
+
+Printed = Callable[[int, str | Sequence[object]], Streams]
+"""Run a command line, a text or words, that must end with this exit code; what it printed."""
 
 
 def called(capsys: pytest.CaptureFixture[str], *words: object) -> Ended:

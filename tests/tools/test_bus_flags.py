@@ -153,7 +153,7 @@ def test_a_bus_with_nodes_is_listened_to(capsys: pytest.CaptureFixture[str]) -> 
 
 
 def test_a_bus_that_does_not_open(printed: Printed) -> None:
-    out = printed(1, ["doctor", "--listen", "0.01", "-i", "socketcan", "-c", "nowhere9"]).out
+    out = printed(1, "doctor --listen 0.01 -i socketcan -c nowhere9").out
     assert "fail bus: " in out
     assert "->" in out
 
@@ -194,7 +194,7 @@ def test_where_the_name_comes_from(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
 
 def test_vcan_that_works_and_vcan_that_does_not(monkeypatch: pytest.MonkeyPatch, printed: Printed) -> None:
     monkeypatch.setattr("tipforce_tools.kernel.host.choose", lambda _interfaces: "uml")
-    assert "`tipforce vcan` works: vcan0 and vcan1, in User-mode Linux, which boots here" in printed(0, ["doctor"]).out
+    assert "`tipforce vcan` works: vcan0 and vcan1, in User-mode Linux, which boots here" in printed(0, "doctor").out
 
     def lacking(*_: object, **_options: object) -> int:
         raise EnvironmentLackError("User-mode Linux ended before it had booted\n  Kernel panic")
@@ -295,9 +295,8 @@ def test_the_first_command_names_cause_and_remedy(
 
 
 @pytest.mark.usefixtures("impatient")
-def test_what_a_filter_leaves_out_is_not_missing(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dump", f"{new_channel()},185:7FF", "--decode", "-T", "500", "-i", "virtual"]) == 0
-    assert capsys.readouterr() == ("", "")
+def test_what_a_filter_leaves_out_is_not_missing(printed: Printed) -> None:
+    assert printed(0, f"dump {new_channel()},185:7FF --decode -T 500 -i virtual") == ("", "")
 
 
 @pytest.mark.usefixtures("impatient")
@@ -316,7 +315,9 @@ def test_a_finger_that_does_not_respond(
 
 @pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize("command", ["hand check FILE", "doctor FILE --listen 0.3"])
-def test_swapped_serial_numbers(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_swapped_serial_numbers(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], printed: Printed
+) -> None:
     """The remedy that is named helps."""
     path, channel = tmp_path / "hand.toml", new_channel()
     fingers = ((5, 1006, "thumb"), (6, 1005, "index"))
@@ -325,8 +326,7 @@ def test_swapped_serial_numbers(command: str, tmp_path: Path, capsys: pytest.Cap
     bus = ["-i", "virtual", "-c", channel]
     with running([finger(5), finger(6)], channel):
         words = [*command.replace("FILE", str(path)).split(), *bus]
-        assert main(words) == 1
-        text = "".join(capsys.readouterr())
+        text = "".join(printed(1, words))
         assert "swapped serial numbers: thumb (5) has 1005, index (6) has 1006" in text
         for remedy in re.findall(r"`tipforce ([ln][^`]+)`", text):
             assert main([*remedy.split(), *bus]) == 0
@@ -386,22 +386,20 @@ def test_nothing_is_said_of_a_bus_that_works_nor_of_another_device() -> None:
 @pytest.mark.parametrize("command", ["scan", "read 5", "monitor", "log -o x", "view", "node --node-id 5", "hand up H"])
 def test_the_interface_is_the_only_one_that_is_up(
     command: str, known: dict[str, bool], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    printed: Printed,
 ) -> None:  # fmt: skip
     def refuse(*_: object, **options: object) -> None:
         raise EnvironmentLackError(f"it would open {options or _}")
 
     monkeypatch.setattr("tipforce.host.network.interfaces.interfaces", lambda: known)
-    for name in ("host.network.open_bus.open_bus", "host.live.receive.open_socket", "host.hand.link.open_bus"):
+    for name in ("host.network.interfaces.open_bus", "host.live.receive.open_socket", "host.hand.link.open_bus"):
         monkeypatch.setattr(f"tipforce.{name}", refuse)
     monkeypatch.setattr("canopen_device.running.ports.SocketCanPort.__init__", refuse)
     monkeypatch.setattr("tipforce.host.hand.link.SocketLink.__init__", refuse)
     monkeypatch.chdir(tmp_path)
     Path("H").write_text("[[finger]]\nnode_id = 5\n")
-    assert main(command.split()) == 2
-    err = capsys.readouterr().err
+    err = printed(2, command.split()).err
     assert said in err
     assert ("it would open" in err and "can0" in err) == said.startswith("bus")
     if command == "scan":  # a channel alone is an interface of the kernel
-        assert main(["scan", "-c", "can7"]) == 2
-        assert re.search("would open .*can7", capsys.readouterr().err)
+        assert re.search("would open .*can7", printed(2, "scan -c can7").err)

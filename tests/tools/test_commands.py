@@ -38,7 +38,7 @@ def bus_words(bench: tuple[Bus, str]) -> tuple[str, ...]:
 
 
 def test_scan(tipforce: Tipforce) -> None:
-    code, out, err = tipforce("scan", "--wait", "0.3")
+    code, out, err = tipforce("scan --wait 0.3")
     hint = "node {0} (0x0{0}): not calibrated: tipforce calibrate guide --node {0}, or apply CAL.toml\n"
     started = "nodes 5-6: not started: tipforce nmt start 5-6 --wait\n"
     assert (code, err) == (0, started + hint.format(5) + hint.format(6))
@@ -51,9 +51,7 @@ def test_scan(tipforce: Tipforce) -> None:
 
 
 def test_scan_as_json(tipforce: Tipforce) -> None:
-    code, out, _ = tipforce("scan", "--wait", "0.3", "--nodes", "6,10-12", "--json")
-    assert code == 0
-    (record,) = (json.loads(line) for line in out.splitlines())
+    (record,) = tipforce("scan --wait 0.3 --nodes 6,10-12 --json", code=0).records
     assert record == {
         "node_id": 6, "state": "pre-operational", "device": "simulated fingertip, 3 gauges", "serial": 1006,
         "calibration": "not calibrated", "faults": "", "eds": "match", "duplicate": "", "product": 0x54500103,
@@ -74,11 +72,9 @@ def test_sdo_read(tipforce: Tipforce, words: str, shown: str) -> None:
 
 
 def test_sdo_read_as_json(tipforce: Tipforce) -> None:
-    code, out, _ = tipforce("sdo", "read", 5, "identity.serial", "--json")
-    assert code == 0
-    assert json.loads(out) == {"node": 5, "index": "0x1018", "sub": 4, "name": "identity.serial", "value": 1005}
-    code, out, _ = tipforce("sdo", "read", 5, "0x1018", 4, "d", "--json")
-    assert json.loads(out)["value"] == "ED 03 00 00"
+    (record,) = tipforce("sdo read 5 identity.serial --json", code=0).records
+    assert record == {"node": 5, "index": "0x1018", "sub": 4, "name": "identity.serial", "value": 1005}
+    assert tipforce("sdo read 5 0x1018 4 d --json").records[0]["value"] == "ED 03 00 00"
 
 
 @pytest.mark.parametrize(
@@ -89,7 +85,7 @@ def test_sdo_read_as_json(tipforce: Tipforce) -> None:
     ],
 )  # fmt: skip
 def test_sdo_write_then_read(tipforce: Tipforce, words: str, value: str, shown: str) -> None:
-    tipforce("sdo", "write", 5, "tpdo1.cob_id", "0xC0000185")  # an inhibit time changes in an invalid PDO only
+    tipforce("sdo write 5 tpdo1.cob_id 0xC0000185")  # an inhibit time changes in an invalid PDO only
     code, out, err = tipforce("sdo", "write", 5, *words.split(), value)
     assert (code, out) == (0, "")
     assert err.startswith("node 5 (0x05) 0x")
@@ -98,7 +94,7 @@ def test_sdo_write_then_read(tipforce: Tipforce, words: str, value: str, shown: 
 
 def test_sdo_dump_is_all_that_can_be_read(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
     readable = {place: row for place, row in entries(3, True).items() if row.access != "wo" and row.index != 0x1021}
-    code, out, err = tipforce("sdo", "dump", 5, "--json")
+    code, out, err = tipforce("sdo dump 5 --json")
     records = {(int(r["index"], 16), r["sub"]): r for r in map(json.loads, out.splitlines())}
     # This node was given no EDS, and 1022h says how one is packed.
     assert (code, set(readable) - set(records), set(records) - set(readable)) == (0, {(0x1022, 0)}, set())
@@ -107,22 +103,22 @@ def test_sdo_dump_is_all_that_can_be_read(tipforce: Tipforce, bench: tuple[Bus, 
         assert (record["node"], record["name"], record["unit"]) == (5, readable[place].name, readable[place].unit)
     assert records[0x1018, 4]["value"] == 1005
     assert records[0x2140, 0]["value"] == types.format_value("D", bench[0].sdo(5).upload(0x2140, 0))
-    lines = tipforce("sdo", "dump", 5, "-q")[1].splitlines()
+    lines = tipforce("sdo dump 5 -q")[1].splitlines()
     assert len(lines) == len(records)
     assert any(line.split() == ["0x1017:00", "heartbeat.producer_ms", "20", "ms"] for line in lines)
 
 
 def test_sdo_dump_of_a_node_that_has_less(tipforce: Tipforce) -> None:
     """Asked for four gauges, a node of three leaves out what it does not have."""
-    code, out, err = tipforce("sdo", "dump", 5, "--gauges", 4, "--json")
+    code, out, err = tipforce("sdo dump 5 --gauges 4 --json")
     three = {(r["index"], r["sub"]) for r in map(json.loads, out.splitlines())}
     assert code == 0
     assert 0 < len(three) < len([row for row in entries(4, True).values() if row.access != "wo"]) - 1
     assert "of the dictionary it does not have" in err
-    assert tipforce("sdo", "dump", 5, "0x1017", 0)[::2] == (
+    assert tipforce("sdo dump 5 0x1017 0")[::2] == (
         2, "tipforce: sdo dump: reads all objects; for one: tipforce sdo read 5 0x1017 0\n",
     )  # fmt: skip
-    assert "object missing" in tipforce("sdo", "read", 5)[2]
+    assert "object missing" in tipforce("sdo read 5")[2]
 
 
 @pytest.mark.parametrize(("name", "what"), [("store:1", "stores parameters"), ("restore:4", "restores defaults")])
@@ -132,7 +128,7 @@ def test_sdo_asks_before_something_persists(
     """On a bus that counts as real; nobody is there to say yes."""
     monkeypatch.setattr("tipforce_tools.cli.bus_flags.open_connection", lambda _args: pytest.fail("the bus was opened"))
     monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
-    assert what in printed(2, ["sdo", "write", "5", name, "0x65766173", "-i", "socketcan", "-c", "can0"]).err
+    assert what in printed(2, f"sdo write 5 {name} 0x65766173 -i socketcan -c can0").err
 
 
 @pytest.fixture
@@ -143,20 +139,20 @@ def cal(tmp_path: Path) -> Path:
 
 
 def test_calibrate_apply_then_verify(tipforce: Tipforce, cal: Path, tmp_path: Path) -> None:
-    code, out, err = tipforce("calibrate", "apply", cal, "--node", 5)
+    code, out, err = tipforce(f"calibrate apply {cal} --node 5")
     crc = f"0x{beam_calibration().crc32():08X}"
     assert code == 0
     assert out.startswith("applied, generation ")
     assert out.endswith(f", CRC-32 {crc}\n")
     assert [line.split(": ")[0] for line in err.splitlines()] == ["node 5 (0x05)"] * 4
-    assert tipforce("calibrate", "verify", cal, "--node", 5) == (0, "equal byte for byte\n", "")
-    code, out, _ = tipforce("calibrate", "verify", cal, "--node", 5, "--json")
-    assert json.loads(out) == {"node": 5, "equal": True, "differences": []}
+    assert tipforce(f"calibrate verify {cal} --node 5") == (0, "equal byte for byte\n", "")
+    equal = {"node": 5, "equal": True, "differences": []}
+    assert tipforce(f"calibrate verify {cal} --node 5 --json").records == [equal]
 
     write_calibration(tmp_path / "other.toml", beam_calibration(serial=8))
     code, out, _ = tipforce("calibrate", "verify", tmp_path / "other.toml", "--node", 5)
     assert (code, out) == (1, "0x2102:01: expected 8, the node has 7\n")
-    code, out, _ = tipforce("calibrate", "verify", cal, "--node", 6)
+    code, out, _ = tipforce(f"calibrate verify {cal} --node 6")
     assert (code, out) == (1, "the node has no active calibration\n")
 
 
@@ -172,25 +168,21 @@ def test_calibrate_refused_is_12(tipforce: Tipforce, tmp_path: Path) -> None:
 
 
 def test_calibrate_where_storing_is_refused(tipforce: Tipforce, cal: Path) -> None:
-    code, _, err = tipforce("calibrate", "apply", cal, "--node", 6)
-    assert code == 11
+    err = tipforce(f"calibrate apply {cal} --node 6", code=11).err
     assert re.search("write of 0x1010:04.*has no store.*until its next reset.*--store FILE", err)
-    assert tipforce("calibrate", "apply", cal, "--node", 6, "--no-store", "--json", "-q")[0] == 0
+    assert tipforce(f"calibrate apply {cal} --node 6 --no-store --json -q")[0] == 0
 
 
 def test_config_apply_then_verify(tipforce: Tipforce, tmp_path: Path) -> None:
     path = tmp_path / "finger.toml"
     path.write_text('[objects]\n"interrupt_delta:1" = 2.5\n"tpdo1.mapping" = ["status", "counter"]\n')
-    code, out, err = tipforce("config", "verify", 5, path)
-    assert code == 1
+    _, out, err = tipforce(f"config verify 5 {path}", code=1)
     assert "interrupt_delta:1 (0x6133:01): expected 2.5, the node has 0.0\n" in out
     assert err == "node 5 (0x05): 4 objects, 4 different\n"
-    assert tipforce("config", "apply", 5, path, "--store", "-q") == (0, "", "")
-    assert tipforce("config", "verify", 5, path, "--json", "-q") == (0, "", "")
-    code, out, _ = tipforce("config", "verify", 6, path, "--json", "-q")
-    assert code == 1
+    assert tipforce(f"config apply 5 {path} --store -q") == (0, "", "")
+    assert tipforce(f"config verify 5 {path} --json -q") == (0, "", "")
     expected = {"object": "interrupt_delta:1 (0x6133:01)", "expected": "2.5", "found": "0.0"}
-    assert json.loads(out.splitlines()[-1]) == expected
+    assert tipforce(f"config verify 6 {path} --json -q", code=1).records[-1] == expected
 
 
 @pytest.fixture

@@ -62,13 +62,6 @@ def test_only_what_was_said_goes_to_python_can() -> None:
     assert bus_flags.bus_options(bus_arguments(*words)) == expected
 
 
-@pytest.mark.parametrize("words", ["--timeout 0", "--timeout -1", "--timeout nan", "--timeout inf", "--retries -1"])
-def test_times_and_retries_that_make_no_sense(words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        bus_arguments("-i", "virtual", *words.split())
-    assert "allowed" in capsys.readouterr().err
-
-
 class Terminal(io.StringIO):
     """A stdin with a person at it."""
 

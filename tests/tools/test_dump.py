@@ -208,13 +208,6 @@ def test_strict_stops_at_the_first_bad_line(piped: Tipforce) -> None:
     assert piped(GOOD.rstrip("\n"), "-L", "-").out == GOOD, "the last line may lack its end"
 
 
-def test_bytes_that_are_no_text() -> None:
-    noise = bytes(range(256)) * 1000
-    done = subprocess.run([*DUMP, "-"], input=noise, capture_output=True, timeout=60, check=False)
-    assert (done.returncode, done.stdout) == (1, b"")
-    assert b"no frames in it; is it a log?" in done.stderr
-
-
 def test_a_live_pipe_is_shown_at_once() -> None:
     with subprocess.Popen([*DUMP, "--decode", "-"], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdin is not None
@@ -248,13 +241,6 @@ def test_a_bus_of_python_can(capsys: pytest.CaptureFixture[str]) -> None:
         "  dump1  285   [8]  2E 11 29 23 9A 11 03 03  node 5 (0x05) Contact  "
         "P=4.398 N phi=90.01 deg theta=45.06 deg contact calibrated #3"
     ]
-
-
-def test_an_uncalibrated_finger_is_told_once_what_calibrates_it(capsys: pytest.CaptureFixture[str]) -> None:
-    with repeated("dump5", message(0x285, bytes.fromhex("0080008000800003"))):
-        assert main(["dump", "-i", "virtual", "-c", "dump5", "-n", "3", "--decode", "--json"]) == 0
-    expected = "node 5 (0x05): not calibrated: tipforce calibrate guide --node 5, or apply CAL.toml\n"
-    assert capsys.readouterr().err == expected
 
 
 def test_filters_remote_and_fd(capsys: pytest.CaptureFixture[str]) -> None:

@@ -64,7 +64,6 @@ def test_decode_by_the_names_of_the_file(eds: str, tmp_path: Path, capsys: pytes
     assert (rows[1]["Controlword"], rows[1]["Modes_of_operation"]) == (15, 1)
     assert (rows[2]["Position_actual_value"], rows[2]["Velocity_actual_value"]) == (1000, -2)
     for words, said in (
-        (["--eds", eds], "the form is ID=FILE"),
         (["--eds", f"5={eds}", "--eds", f"5={eds}"], "node 5 has a file already"),
         (["--eds", "5=none.eds"], "No such file"), (["--eds", f"5={eds}", "--gauges", "4"], "leave out --dbc"),
     ):  # fmt: skip
@@ -362,14 +361,3 @@ def test_ros2_canopen_bus_of_a_hand(tmp_path: Path) -> None:
         tmp_path / "l.eds", "eds", "--dialect", "lely"
     ).read_text()
     assert ros_name("", 4) == "finger_4"
-
-
-def test_ros2_canopen_bus_beside_another_bus_file(tmp_path: Path) -> None:
-    """A foreign bus.yml is refused before the EDS files are written."""
-    (tmp_path / "hand.toml").write_text(HAND)
-    folder = tmp_path / "taken"
-    folder.mkdir()
-    (folder / "bus.yml").write_text("routes: 12\n")
-    assert main(["export", "ros2", "--hand", str(tmp_path / "hand.toml"), "-o", str(folder), "-q"]) == 2
-    assert [path.name for path in folder.iterdir()] == ["bus.yml"]
-    assert (folder / "bus.yml").read_text() == "routes: 12\n"

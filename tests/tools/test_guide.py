@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 import re
 import sys
 import time
@@ -27,6 +26,7 @@ from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import DRIFT, OPEN, SATURATED, SILENT, STUCK, SimulatedSource
 from tipforce_tools.cli.main import main
+from tools.rig import Printed, Streams
 
 OFFSETS = (12.0, -8.5, 5.3)
 FEW = ("--grooves", "x30,x60,x150,y45,y90,y135", "--samples", 20, "--drift", "none")
@@ -60,8 +60,9 @@ class Bench(NamedTuple):
         except SystemExit as error:
             return int(error.code or 0)
 
-    def auto(self, *words: object) -> tuple[int, str, str]:
-        return (self.guide("--auto", *FEW, *words), *self.capsys.readouterr())
+    def auto(self, *words: object, code: int = 0) -> Streams:
+        assert self.guide("--auto", *FEW, *words) == code
+        return Streams(*self.capsys.readouterr())
 
     def by_hand(self, key: Callable[[str], str], *words: object, code: int = 0) -> "Person":
         """Run the guide for a person at the keys."""
@@ -174,25 +175,23 @@ def _check_unseen_loads(bench: Bench) -> None:
 
 def test_by_itself(bench: Bench) -> None:
     apply_load(bench.connection, 5, 1.0, 20.0, 30.0)
-    code, out, err = bench.auto("-o", bench.file, "--json")
-    assert code == 0
-    assert "node 5 (0x05): simulated fingertip, 3 gauges, serial 1005; not calibrated yet; 23.00 degC" in err
-    assert "plan: 6 loads and 3 unloaded readings; by SYNC and TPDO1 (0x185)" in err
-    assert "step 2 of 9: hang 4.4 N (448.7 g) in the x-groove at theta = 30 degrees (phi = 0)" in err
-    records = [json.loads(line) for line in out.splitlines()]
+    ended = bench.auto("-o", bench.file, "--json")
+    assert "node 5 (0x05): simulated fingertip, 3 gauges, serial 1005; not calibrated yet; 23.00 degC" in ended.err
+    assert "plan: 6 loads and 3 unloaded readings; by SYNC and TPDO1 (0x185)" in ended.err
+    assert "step 2 of 9: hang 4.4 N (448.7 g) in the x-groove at theta = 30 degrees (phi = 0)" in ended.err
+    records = ended.records
     assert [record["step"] for record in records[:9]] == list(range(1, 10))
     assert records[3] | {"P_N": 4.4, "phi_deg": 180.0, "theta_deg": 150.0, "samples": 20} == records[3]
     assert abs(records[9]["condition_number"] - 2.51) < 0.02
     assert records[10]["node"] == 5
     assert bench.source.load == (1.0, 20.0, 30.0)
     # Once more: everything is there, so it fits and applies at once.
-    code, out, err = bench.auto()
-    assert code == 0
-    assert "step 1" not in err
-    assert "generation 2" in out
+    again = bench.auto()
+    assert "step 1" not in again.err
+    assert "generation 2" in again.out
 
 
-def test_more_gauges_than_three(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_more_gauges_than_three(tmp_path: Path, printed: Printed) -> None:
     """The record's C must be the best one for the record's covariance: a node gets A back from the two."""
     A = strain_matrix(FABRICATED, ("K_H", "S_H", "U", "L", "R"))
     store = FileStore(tmp_path / "node.json")
@@ -200,9 +199,8 @@ def test_more_gauges_than_three(tmp_path: Path, capsys: pytest.CaptureFixture[st
     channel = new_channel()
     with connected(device, channel=channel) as (connection, _):
         words = ["calibrate", "guide", "--node", 5, "--auto", *FEW, *QUICK, "--session", tmp_path / "s.csv"]
-        assert main([*map(str, words), "-i", "virtual", "-c", channel]) == 0
+        assert "by SYNC and SDO reads" in printed(0, [*words, "-i", "virtual", "-c", channel]).err
         held = connection.finger(5).calibration()
-    assert "by SYNC and SDO reads" in capsys.readouterr().err
     assert held is not None
     np.testing.assert_allclose(held.C @ A, np.eye(3), atol=2e-3)
     W = np.linalg.inv(held.covariance_strain2)
@@ -274,8 +272,8 @@ def test_a_refused_capture(bench: Bench, fault: int, magnitude: float, reason: s
 
 def test_refused_with_nobody_there_is_1(bench: Bench) -> None:
     bench.connection.sdo(5).write(od.SIMULATION_FAULT, SATURATED)
-    code, out, err = bench.auto()
-    assert (code, out) == (1, "")
+    out, err = bench.auto(code=1)
+    assert out == ""
     assert err.count("refused: saturated: SG1") == 2
     assert "nothing was captured" in err
     assert not bench.session.exists()
@@ -286,9 +284,7 @@ def test_refused_with_nobody_there_is_1(bench: Bench) -> None:
 )
 def test_a_faulty_node_is_refused_before_the_first_weight(bench: Bench, fault: int, reason: str) -> None:
     bench.connection.sdo(5).write(od.SIMULATION_FAULT, fault)
-    code, _, err = bench.auto()
-    assert code == 12
-    assert reason in err
+    assert reason in bench.auto(code=12).err
 
 
 def test_no_node_is_5(bench: Bench) -> None:
@@ -315,12 +311,10 @@ def test_a_node_that_goes_and_comes_back(bench: Bench) -> None:
 
 
 def test_a_line_that_was_cut_short(bench: Bench) -> None:
-    assert bench.auto()[0] == 0
+    bench.auto()
     lines = bench.session.read_text().splitlines(keepends=True)
     bench.session.write_text("".join(lines[:4]) + lines[4][:30])
-    code, _, err = bench.auto()
-    assert code == 0
-    assert "its last line was truncated by an interruption and is removed" in err
+    assert "its last line was truncated by an interruption and is removed" in bench.auto().err
     assert [row["step"] for row in bench.rows()] == ["1", "2", "3", "extra", "4", "5", "6", "7", "8", "9"]
 
 
@@ -339,11 +333,10 @@ def test_a_line_that_was_cut_short(bench: Bench) -> None:
     ],
 )
 def test_a_session_that_does_not_belong_here(bench: Bench, old: str, new: str, reason: str) -> None:
-    assert bench.auto()[0] == 0
+    bench.auto()
     wrong = bench.session.read_text().replace(old, new)
     bench.session.write_text(wrong)
-    code, _, err = bench.auto()
-    assert code == 2
+    err = bench.auto(code=2).err
     assert re.search(f"session .*{reason}", err), err
     assert bench.session.read_text() == wrong
 
@@ -351,9 +344,7 @@ def test_a_session_that_does_not_belong_here(bench: Bench, old: str, new: str, r
 @pytest.mark.parametrize("content", [b"a,b\n1,2\n", b"hello", b"\xff\xfe\n"])
 def test_a_session_that_is_none(bench: Bench, content: bytes) -> None:
     bench.session.write_bytes(content)
-    code, _, err = bench.auto()
-    assert code == 2
-    assert "session" in err
+    assert "session" in bench.auto(code=2).err
     assert bench.session.read_bytes() == content
 
 
@@ -364,9 +355,8 @@ class RealGauges(Source):
         return Reading((1, 2, now_us % 7), 0, 2300)
 
 
-def test_no_auto_with_real_gauges(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_no_auto_with_real_gauges(printed: Printed, tmp_path: Path) -> None:
     channel = new_channel()
     with connected(fingertip_node(5, RealGauges()), channel=channel):
-        words = ["calibrate", "guide", "--node", "5", "--auto", "--session", str(tmp_path / "s.csv")]
-        assert main([*words, "-i", "virtual", "-c", channel]) == 2
-    assert "node 5 (0x05) has real gauges: --auto needs a simulated node" in capsys.readouterr().err
+        err = printed(2, f"calibrate guide --node 5 --auto --session {tmp_path}/s.csv -i virtual -c {channel}").err
+    assert "node 5 (0x05) has real gauges: --auto needs a simulated node" in err

@@ -81,13 +81,6 @@ WRONG_PLACES = [
 ]
 
 
-def test_what_cannot_be_written(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="allowed are 3 to 8"):
-        layout_text(FABRICATED, PLACES[:2])
-    with pytest.raises(InputError, match="absent does not exist; create it first"):
-        write_layout(tmp_path / "absent" / "layout.toml", FABRICATED, PLACES[:3])
-
-
 def test_the_node_reads_what_the_layout_says(tmp_path: Path, devices: list[Device]) -> None:
     path = tmp_path / "layout.toml"
     write_layout(path, ODD, PLACES)
@@ -145,11 +138,6 @@ def test_a_layout_file_that_is_wrong(tmp_path: Path, text: str, message: str) ->
         read_layout(str(path))
     assert message.replace("'", "") in str(caught.value).replace("'", "")
     assert str(path) in str(caught.value)
-
-
-def test_a_layout_that_is_a_directory(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"layout .*Is a directory"):
-        read_layout(str(tmp_path))
 
 
 def records(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, dict[str, Any]]:
@@ -217,8 +205,6 @@ def test_five_gauges_of_which_only_the_calibration_is_known(
     layout.write_text('points = ["K_H", "S_H", "U", "L", "T"]\n')
     assert "off-axis load" in records(capsys, path, "--layout", str(layout))
     assert "it has 3 gauges, the calibration 5" in printed(2, ["calibrate", "budget", path, "--layout", "I"]).err
-    write_calibration(path, replace(calibration, C=np.full((3, 5), 1e4)))
-    assert "matrix: rank below 3" in printed(2, ["calibrate", "budget", path]).err
 
 
 def test_text_tells_where_first_order_does_not_hold(printed: Printed) -> None:
@@ -235,10 +221,7 @@ def test_text_tells_where_first_order_does_not_hold(printed: Printed) -> None:
 
 @pytest.mark.skipif(importlib.util.find_spec("matplotlib") is None, reason="figures need the extra `plot`")
 @pytest.mark.parametrize(("name", "head"), [("b.png", b"\x89PNG"), ("b.svg", b"<?xml")])
-def test_plot(printed: Printed, tmp_path: Path, name: str, head: bytes) -> None:
+def test_plot(tmp_path: Path, name: str, head: bytes) -> None:
     path = tmp_path / name
     assert main(["calibrate", "budget", "-o", str(path)]) == 0
     assert path.read_bytes().startswith(head)
-    assert (
-        "does not exist; create it first" in printed(2, ["calibrate", "budget", "-o", str(tmp_path / "no" / name)]).err
-    )

@@ -15,7 +15,7 @@ import pytest
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.host.frames.frame_array import FRAME, FrameArray, frame_array
 from tipforce.host.logs.reader import open_log
-from tipforce.watching.bus_monitor import WINDOW_NS, BusView, Monitor, NodeView, Window
+from tipforce.watching.bus_monitor import BusView, Monitor, NodeView, Window
 from tipforce.watching.frame_sources import LogSource, PipeSource
 from tipforce_tools.monitor import session
 from tools.hand_log import START_S, Fault, contact_pdo, hand_log
@@ -208,19 +208,6 @@ def test_the_same_node_on_two_buses() -> None:
     assert [(view.name, view.nodes[0].readings["P"].value) for view in views] == [("can0", 1.0), ("can1", 2.0)]
 
 
-def test_a_window_forgets() -> None:
-    rng = np.random.default_rng(3)
-    window, t_ns = Window(columns=1), np.sort(rng.integers(0, 10 * WINDOW_NS, 5000))
-    for part in np.array_split(t_ns, 37):
-        window.add(part, np.full(len(part), 7))
-    recent = t_ns[t_ns > t_ns[-1] - WINDOW_NS]
-    assert window.rate_hz(int(t_ns[-1])) == pytest.approx((len(recent) - 1) * 1e9 / (recent[-1] - recent[0]))
-    assert window.sums(int(t_ns[-1])) == pytest.approx([7e9 * len(recent) / (recent[-1] - recent[0])])
-    periods = window.periods()
-    assert periods is not None
-    assert periods.max_ms == pytest.approx(np.diff(recent).max() * 1e-6)
-
-
 def test_a_clock_that_was_set_back_starts_anew() -> None:
     monitor = fed(contacts(101))
     frames = [(T0 - 3600_000 * MS + 20 * k * MS, *contact_pdo(5, 1, 2, 3)) for k in range(51)]
@@ -289,7 +276,7 @@ def test_a_pipe_that_goes_quiet_grows_old(log: Path) -> None:
 
 
 def test_a_table_at_the_end_of_a_log(log: Path, printed: Printed) -> None:
-    out, err = printed(0, ["monitor", str(log)])
+    out, err = printed(0, f"monitor {log}")
     lines = out.splitlines()
     assert lines[0].startswith("vcan0: ")
     assert "SYNC 100.0 Hz" in lines[0]
@@ -297,9 +284,9 @@ def test_a_table_at_the_end_of_a_log(log: Path, printed: Printed) -> None:
     assert lines[2].startswith("5 (0x05)  ")
     assert " operational " in lines[2]
     assert (len(lines), err) == (3, "")
-    assert "no node found yet" in printed(0, ["monitor", str(log), "--nodes", "6"]).out
+    assert "no node found yet" in printed(0, f"monitor {log} --nodes 6").out
     log.write_text(log.read_text() + "nonsense\n")
-    assert "tipforce monitor: 1 bad line left out" in printed(0, ["monitor", str(log)]).err
+    assert "tipforce monitor: 1 bad line left out" in printed(0, f"monitor {log}").err
 
 
 def test_a_json_line_for_each_interval_of_the_log(log: Path, printed: Printed) -> None:
@@ -311,7 +298,7 @@ def test_a_json_line_for_each_interval_of_the_log(log: Path, printed: Printed) -
 
 
 def test_once(log: Path, printed: Printed) -> None:
-    record = json.loads(printed(0, ["monitor", str(log), "--once", "1.55", "--json"]).out)
+    record = json.loads(printed(0, f"monitor {log} --once 1.55 --json").out)
     assert record["t"] == pytest.approx(START_S + 1.55, abs=0.01)
     (view,) = record["buses"]
     (of_node,) = view["nodes"]

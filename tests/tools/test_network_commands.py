@@ -62,32 +62,29 @@ def unconfigured(tmp_path: Path) -> Iterator[tuple[Bus, str]]:
 
 @pytest.mark.usefixtures("quick_heartbeats")
 def test_nmt_waits_for_each_heartbeat(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
-    assert tipforce("nmt", "start", "5,6", "--wait") == (0, "   5 (0x05)  operational\n   6 (0x06)  operational\n", "")
-    code, out, _ = tipforce("nmt", "stop", "0x06", "--wait", "--json")
-    assert (code, json.loads(out)) == (0, {"node_id": 6, "state": "stopped"})
-    assert tipforce("nmt", "preop", "6", "--wait")[1] == "   6 (0x06)  pre-operational\n"
+    assert tipforce("nmt start 5,6 --wait") == (0, "   5 (0x05)  operational\n   6 (0x06)  operational\n", "")
+    assert tipforce("nmt stop 0x06 --wait --json", code=0).records == [{"node_id": 6, "state": "stopped"}]
+    assert tipforce("nmt preop 6 --wait")[1] == "   6 (0x06)  pre-operational\n"
     for command in ("reset-node", "reset-comm"):
-        assert tipforce("nmt", command, "6", "--wait") == (0, "   6 (0x06)  boot-up\n", "")
+        assert tipforce(f"nmt {command} 6 --wait") == (0, "   6 (0x06)  boot-up\n", "")
     assert bench[0].sdo(6).read(od.HEARTBEAT_PRODUCER_MS) == 1000
 
 
 @pytest.mark.usefixtures("quick_heartbeats")
 def test_nmt_to_all_is_one_frame(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
     bench[0].buffer.clear()
-    assert tipforce("nmt", "start", "all") == (0, "", "")
+    assert tipforce("nmt start all") == (0, "", "")
     bench[0].wait_for({0x705, 0x706})
-    code, _, err = tipforce("nmt", "start", "all", "--wait")
-    assert code == 2
+    err = tipforce("nmt start all --wait", code=2).err
     assert "needs node-ids" in err
 
 
 @pytest.mark.usefixtures("quick_heartbeats")
 def test_a_node_that_does_not_say_so_is_named(tipforce: Tipforce) -> None:
-    code, out, err = tipforce("nmt", "start", "5,9", "--wait", "0.2")
+    code, out, err = tipforce("nmt start 5,9 --wait 0.2")
     assert (code, out) == (5, "   5 (0x05)  operational\n")  # the one that did is named, too
     assert "from node 9 (silent)" in err
-    code, out, err = tipforce("nmt", "stop", "5,9", "--wait", "0.2", "--json")
-    assert (code, json.loads(out)) == (5, {"node_id": 5, "state": "stopped"})
+    assert tipforce("nmt stop 5,9 --wait 0.2 --json", code=5).records == [{"node_id": 5, "state": "stopped"}]
 
 
 def test_nmt_start_is_repeated_until_the_node_has_booted(capsys: pytest.CaptureFixture[str]) -> None:
@@ -110,24 +107,23 @@ def test_read_prints_the_contact_of_each_finger(tipforce: Tipforce, bench: tuple
     connection = bench[0]
     connection.finger(5).apply_calibration(beam_calibration(), store=False)
     apply_load(connection, 5, 4.4, 90.0, 45.0)
-    code, out, err = tipforce("read", "5")
+    code, out, err = tipforce("read 5")
     assert (code, err) == (0, "")
     assert re.fullmatch(
         r"   5 \(0x05\)  4\.4\d\d N, phi (89|90)\.\d\d deg, theta 4[45]\.\d\d deg  u\(P\) 0\.\d{3} N\n", out
     )
-    code, out, err = tipforce("read", "6", "-n", "2", "--json")
+    code, out, err = tipforce("read 6 -n 2 --json")
     assert err == "node 6 (0x06): not calibrated: tipforce calibrate guide --node 6, or apply CAL.toml\n", "once"
     first, second = map(json.loads, out.splitlines())
     assert (code, first["node_id"], first["P_newtons"], first["reason"]) == (0, 6, None, "not calibrated")
     assert first["counter"] != second["counter"]
-    code, out, err = tipforce("read", "9", "--wait", "0.2", "--timeout", "0.05", "--retries", "0")
+    code, out, err = tipforce("read 9 --wait 0.2 --timeout 0.05 --retries 0")
     assert (code, out) == (5, "")
     assert "node 9" in err
 
 
 def test_lss_scan_finds_one_without_a_node_id(tipforce: Tipforce, unconfigured: tuple[Bus, str]) -> None:
-    code, out, err = tipforce("lss", "scan", "--lss-timeout", "0.05", "--json")
-    assert code == 0
+    _, out, err = tipforce("lss scan --lss-timeout 0.05 --json", code=0)
     assert json.loads(out) == {
         "vendor": 0, "product": 0x54500103, "revision": 0x00020000, "serial": 7, "node_id": None, "stored": False,
     }  # fmt: skip
@@ -137,8 +133,7 @@ def test_lss_scan_finds_one_without_a_node_id(tipforce: Tipforce, unconfigured: 
 
 def test_lss_assign_numbers_all(tipforce: Tipforce, unconfigured: tuple[Bus, str], tmp_path: Path) -> None:
     connection = unconfigured[0]
-    code, out, _ = tipforce("lss", "assign", "1-3", "--store", "--lss-timeout", "0.05")
-    assert code == 0
+    out = tipforce("lss assign 1-3 --store --lss-timeout 0.05", code=0).out
     assert [line.split("serial ")[1] for line in out.splitlines()] == [
         "7: node-id 1 (0x01), stored", "9: node-id 2 (0x02), stored", "2147483649: node-id 3 (0x03), stored",
     ]  # fmt: skip
@@ -146,17 +141,15 @@ def test_lss_assign_numbers_all(tipforce: Tipforce, unconfigured: tuple[Bus, str
     stored = FileStore(tmp_path / "9.json").load("lss")
     assert stored is not None
     assert stored.endswith(bytes((2, 0)))
-    code, _, err = tipforce("lss", "assign", "4", "--lss-timeout", "0.05")
-    assert code == 5
+    err = tipforce("lss assign 4 --lss-timeout 0.05", code=5).err
     assert "Configured nodes take no part" in err
 
 
 def test_lss_renumbers_a_configured_node(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
-    code, out, err = tipforce("lss", "assign", "9", *("--serial", "1005", "--product", "0x54500103"))
-    assert code == 0
+    _, out, err = tipforce("lss", "assign", "9", *("--serial", "1005", "--product", "0x54500103"), code=0)
     assert out.endswith("serial 1005: node-id 9 (0x09)\n")
     assert "node-id 5 (0x05) remains active" in err
-    assert tipforce("nmt", "reset-comm", "5")[0] == 0
+    assert tipforce("nmt reset-comm 5")[0] == 0
     bench[0].wait_for({0x709})
     assert bench[0].sdo(9).read(od.IDENTITY_SERIAL) == 1005
 
@@ -165,13 +158,11 @@ def test_tare_shows_and_clears(tipforce: Tipforce, bench: tuple[Bus, str]) -> No
     connection = bench[0]
     connection.finger(5).apply_calibration(beam_calibration(), store=False)
     apply_load(connection, 5, 2.0, 0.0, 0.0)
-    code, out, _ = tipforce("tare", "5", "--json")
-    record = json.loads(out)
-    assert code == 0
+    (record,) = tipforce("tare 5 --json", code=0).records
     assert record["F3_N"] == pytest.approx(2.0, abs=5e-3)
     assert record["node_id"] == 5
-    assert tipforce("tare", "5", "--show")[1].startswith("   5 (0x05)  F1 ")
-    assert "no tare" in tipforce("tare", "5", "--clear")[1]
+    assert tipforce("tare 5 --show")[1].startswith("   5 (0x05)  F1 ")
+    assert "no tare" in tipforce("tare 5 --clear")[1]
 
 
 # --- config ----------------------------------------------------------------------------------------------------
@@ -187,11 +178,10 @@ FILE = """
 
 
 def test_a_new_node_shows_nothing(tipforce: Tipforce) -> None:
-    code, out, err = tipforce("config", "show", 5)
+    code, out, err = tipforce("config show 5")
     assert (code, out) == (0, "")
     assert "0 shown" in err
-    code, out, _ = tipforce("config", "show", 5, "--all", "--json", "-q")
-    records = [json.loads(line) for line in out.splitlines()]
+    records = tipforce("config show 5 --all --json -q").records
     assert len(records) == len(FingertipObjects(5).settings)
     assert all(record["value"] == pytest.approx(record["default"]) for record in records)
 
@@ -199,28 +189,27 @@ def test_a_new_node_shows_nothing(tipforce: Tipforce) -> None:
 def test_saved_from_one_applied_to_another(tipforce: Tipforce, bench: tuple[Bus, str], tmp_path: Path) -> None:
     path, saved = tmp_path / "wanted.toml", tmp_path / "saved.toml"
     path.write_text(FILE.replace('"contact_unknown" = 1\n', ""))
-    assert tipforce("config", "apply", 5, path, "-q") == (0, "", "")
-    code, out, _ = tipforce("config", "show", 5)
-    assert code == 0
+    assert tipforce(f"config apply 5 {path} -q") == (0, "", "")
+    out = tipforce("config show 5", code=0).out
     assert "0x1802:01  tpdo3.cob_id" in out
     assert "(default 1000)" in out
     assert "0x40000385 (0x385, no RTR)   (default 0xC0000385 (0x385, off, no RTR))" in out
     assert "0x91300720 (0x9130:07, 32 bits)" in out
-    assert tipforce("config", "save", 5, saved, "-q")[0] == 0
+    assert tipforce(f"config save 5 {saved} -q")[0] == 0
     objects = tomllib.loads(saved.read_text())["objects"]
     assert objects["tpdo3.cob_id"] == "$NODEID+0x40000380"
     assert objects["tpdo2.mapping"] == ["process_value_int32:7", "status", "counter"]
-    assert tipforce("config", "diff", 5, saved, "-q") == (0, "", "")
-    assert tipforce("config", "apply", 6, saved, "-q") == (0, "", "")
+    assert tipforce(f"config diff 5 {saved} -q") == (0, "", "")
+    assert tipforce(f"config apply 6 {saved} -q") == (0, "", "")
     assert bench[0].sdo(6).read(od.TPDO3_COB_ID) == 0x40000386
-    assert tipforce("config", "diff", 6, saved, "-q") == (0, "", "")
+    assert tipforce(f"config diff 6 {saved} -q") == (0, "", "")
 
 
 def test_diff_goes_both_ways(tipforce: Tipforce, bench: tuple[Bus, str], tmp_path: Path) -> None:
     path = tmp_path / "wanted.toml"
     path.write_text('[objects]\n"heartbeat.producer_ms" = 300\n')
     bench[0].sdo(5).write(od.SYNC_WINDOW_US, 700)
-    code, out, _ = tipforce("config", "diff", 5, path, "-q")
+    code, out, _ = tipforce(f"config diff 5 {path} -q")
     assert (code, out) == (
         1,
         "sync.window_us (0x1007:00): the node has 700, is not in the file\n"
@@ -231,14 +220,13 @@ def test_diff_goes_both_ways(tipforce: Tipforce, bench: tuple[Bus, str], tmp_pat
 @pytest.mark.parametrize("name", ["finger.dcf", "-"])
 def test_saved_as_dcf_and_to_stdout(tipforce: Tipforce, tmp_path: Path, name: str) -> None:
     target = name if name == "-" else str(tmp_path / name)
-    assert tipforce("sdo", "write", 5, "heartbeat.producer_ms", 250, "-q")[0] == 0
-    code, out, _ = tipforce("config", "save", 5, target, "-q")
-    assert code == 0
+    assert tipforce("sdo write 5 heartbeat.producer_ms 250 -q")[0] == 0
+    out = tipforce(f"config save 5 {target} -q", code=0).out
     if name == "-":
         assert out == '[objects]\n"heartbeat.producer_ms" = 250\n'
     else:
-        assert tipforce("config", "verify", 5, target, "-q") == (0, "", "")
-        assert tipforce("config", "verify", 6, target, "-q")[0] == 1
+        assert tipforce(f"config verify 5 {target} -q") == (0, "", "")
+        assert tipforce(f"config verify 6 {target} -q")[0] == 1
 
 
 def test_another_device_is_compared_with_nothing(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
@@ -246,13 +234,12 @@ def test_another_device_is_compared_with_nothing(tipforce: Tipforce, bench: tupl
     device = Device(service_dictionary(9))
     with running([device], bench[1]):
         bench[0].wait_for({0x709})
-        code, out, err = tipforce("config", "show", 9)
-        assert code == 0
+        _, out, err = tipforce("config show 9", code=0)
         assert "0x1800:01  tpdo1.cob_id" in out
         assert "default" not in out
         assert not [line for line in out.splitlines() if line > "0x2000"]
         assert "node 9 (0x09) is not a fingertip" in err
-        records = [json.loads(line) for line in tipforce("config", "show", 9, "--json")[1].splitlines()]
+        records = tipforce("config show 9 --json").records
         assert {"index": "0x1017", "sub": 0, "name": "heartbeat.producer_ms", "value": 0} in records
 
 
@@ -290,12 +277,12 @@ def hand(tmp_path: Path) -> Iterator[tuple[ExitStack, Path]]:
 
 
 def test_check_needs_no_bus(hand: tuple[ExitStack, Path], printed: Printed) -> None:
-    out, err = printed(0, ["hand", "check", str(hand[1])])
+    out, err = printed(0, f"hand check {hand[1]}")
     assert "thumb" in out
     assert "cal.toml 0x" in out
     assert "bus load" in err
     hand[1].write_text(hand[1].read_text().replace("sync_hz = 50", "sync_hz = 5000"))
-    out, err = printed(0, ["hand", "check", str(hand[1]), "--json"])
+    out, err = printed(0, f"hand check {hand[1]} --json")
     assert [json.loads(line)["node_id"] for line in out.splitlines()] == [1, 2]
     assert "warning" in err
     assert "what fits under 80 %" in err
@@ -303,18 +290,18 @@ def test_check_needs_no_bus(hand: tuple[ExitStack, Path], printed: Printed) -> N
 
 def test_up_reports_each_finger(hand: tuple[ExitStack, Path], printed: Printed) -> None:
     power, path = hand
-    out, err = printed(0, ["hand", "up", str(path)])
+    out, err = printed(0, f"hand up {path}")
     assert out == "thumb (1): up\nindex (2): up\n"
     assert "2 of 2 fingers up" in err
     power.close()
-    records = [json.loads(line) for line in printed(1, ["hand", "up", str(path), "--json"]).out.splitlines()]
+    records = printed(1, f"hand up {path} --json").records
     assert [record["failed"] for record in records] == [None, "find"]
     assert "does not respond to LSS" in records[1]["error"]
 
 
 def test_run_prints_rows_and_counts(hand: tuple[ExitStack, Path], printed: Printed) -> None:
-    out, err = printed(0, ["hand", "run", str(hand[1]), "--seconds", "0.5", "--json"])
-    lines = [json.loads(line) for line in out.splitlines()]
+    output = printed(0, f"hand run {hand[1]} --seconds 0.5 --json")
+    lines, err = output.records, output.err
     rows = [line for line in lines if "row" in line]
     assert len(rows) >= 5
     assert rows[-1]["pairing"] == "numbered"
@@ -323,19 +310,16 @@ def test_run_prints_rows_and_counts(hand: tuple[ExitStack, Path], printed: Print
     assert {"calibrated", "started"} <= {line["event"] for line in lines if "event" in line}
     assert "SYNC period" in err
     assert "thumb (1): missing" in err
-    assert "thumb: P " in printed(0, ["hand", "run", str(hand[1]), "--seconds", "0.3", "-q"]).out
+    assert "thumb: P " in printed(0, f"hand run {hand[1]} --seconds 0.3 -q").out
 
 
-def test_an_uncalibrated_finger_is_named_and_its_rows_say_why(
-    hand: tuple[ExitStack, Path], capsys: pytest.CaptureFixture[str], printed: Printed
-) -> None:
+def test_an_uncalibrated_finger_is_named_and_its_rows_say_why(hand: tuple[ExitStack, Path], printed: Printed) -> None:
     path = hand[1]
     path.write_text(path.read_text().replace('calibration = "cal.toml"', "", 1))
-    out, err = printed(0, ["hand", "up", str(path)])
+    out, err = printed(0, f"hand up {path}")
     assert "thumb (1): up, not calibrated: P, phi and theta are unknown" in out
     assert "node 1 (0x01): not calibrated: tipforce calibrate guide --node 1, or apply CAL.toml\n" in err
-    assert main(["hand", "run", str(path), "--seconds", "0.3", "--json"]) == 0
-    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines() if line.startswith('{"row"')]
+    rows = [record for record in printed(0, f"hand run {path} --seconds 0.3 --json").records if "row" in record]
     assert rows[-1]["1"]["P"] is None
     assert rows[-1]["1"]["reason"].startswith("not calibrated")
-    assert "thumb: not calibrated" in printed(0, ["hand", "run", str(path), "--seconds", "0.3"]).out
+    assert "thumb: not calibrated" in printed(0, f"hand run {path} --seconds 0.3").out

@@ -7,21 +7,17 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import can
 import numpy as np
 import pytest
 
 from canopen_device.core.node import Device
 from host.bus_with_nodes import beam_calibration, connected, finger, new_channel, running
-from tipforce.dictionary import objects as od
 from tipforce.errors import DuplicateNodeError
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.hand.events import Supervisor
 from tipforce.host.hand.file import HandPlan
 from tipforce.host.hand.hand import Hand
 from tipforce.host.logs.reader import open_log
-from tipforce.host.network.bus import Bus
-from tipforce.host.network.faulty_bus import Faults, FaultyBus
 from tipforce.watching.bus_monitor import BusMonitor
 from tipforce.watching.findings import Observed, findings
 from tipforce.watching.watcher import Finger, Watcher
@@ -74,16 +70,14 @@ def test_a_command_that_speaks_to_the_node_says_it(
         assert json.loads(out)["duplicate"].startswith(SAID)
 
 
-def test_the_remedy_that_is_named_helps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_remedy_that_is_named_helps(tmp_path: Path, printed: Printed) -> None:
     channel = new_channel()
+    bus = f"-i virtual -c {channel}"
     with connected(node(1005, tmp_path), node(1006, tmp_path), channel=channel):
-        assert main(["scan", "--wait", "0.2", "-i", "virtual", "-c", channel]) == 1
-        for command in re.findall(r"`tipforce ([^`]+)`", capsys.readouterr().err):
-            assert main([*command.replace("ID", "6").split(), "-i", "virtual", "-c", channel]) == 0
-        capsys.readouterr()
-        assert main(["scan", "--wait", "0.2", "--json", "-i", "virtual", "-c", channel]) == 0
-        found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-        serials = [(one["node_id"], one["serial"], one["duplicate"]) for one in found]
+        for command in re.findall(r"`tipforce ([^`]+)`", printed(1, f"scan --wait 0.2 {bus}").err):
+            printed(0, f"{command.replace('ID', '6')} {bus}")
+        nodes = printed(0, f"scan --wait 0.2 --json {bus}").records
+        serials = [(record["node_id"], record["serial"], record["duplicate"]) for record in nodes]
         assert serials == [(5, 1005, ""), (6, 1006, "")]
 
 
@@ -197,26 +191,3 @@ def until(is_done: Callable[[], bool]) -> None:
             return
         time.sleep(0.01)
     raise AssertionError("not in 20 s")
-
-
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize(
-    "faults",
-    [
-        Faults(drop=0.02),
-        Faults(delay=0.3, delay_s=0.08),
-        Faults(duplicate=0.05),
-        Faults(drop=0.02, reorder=0.05, delay=0.1),
-    ],
-    ids=["drop", "delay", "duplicate", "all"],
-)
-def test_one_node_on_a_faulty_bus_is_never_two(faults: Faults, seed: int) -> None:
-    """Time-outs of 20 ms: a late response comes after its request was repeated."""
-    channel = new_channel()
-    with connected(node(1005), channel=channel):
-        faulty = FaultyBus(can.Bus(interface="virtual", channel=channel), faults, seed)
-        with Bus(faulty, timeout_s=0.02, retries=20) as connection:
-            for k in range(40):
-                connection.sdo(5).read((od.IDENTITY_SERIAL, od.FAULTS, od.CALIBRATION_GENERATION)[k % 3])
-            connection.check_duplicates([5])
-            assert connection.duplicates.found == {}

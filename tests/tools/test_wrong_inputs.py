@@ -12,6 +12,7 @@ from tipforce.scene import beam_calibration
 from tipforce.sensor.calibration.simulation import simulate
 from tools.rig import Tipforce, write_readings
 
+SCENES = Path(__file__).parents[2] / "scenes"
 LOG = "".join(f"({1700000000 + k / 1000:.6f}) vcan0 285#2E1129239A1103{k:02X}\n" for k in range(50))
 EXTENDED = "".join(f"(1700000000.{k:06d}) can0 18FEF1{k:02X}#0102030405060708\n" for k in range(40))
 FILES = {
@@ -33,7 +34,7 @@ FILES = {
     "node.toml": "duration_s = 1\n[[node]]\n", "nan.csv": "SG1,SG2,SG3,P_N,phi_deg,theta_deg\n1,2,3,nan,0,0\n",
     "inf.toml": "[[finger]]\nnode_id = inf\n", "fast.toml": "[hand]\nsync_hz = 1e12\n[[finger]]\nnode_id = 1\n",
     "names.toml": '[[finger]]\nname = "\u261d"\nnode_id = 1\n[[finger]]\nname = "\u261d"\nnode_id = 2\n',
-    "empty.log": "", "static.toml": (Path(__file__).parents[2] / "scenes" / "static.toml").read_text(),
+    "empty.log": "", "static.toml": (SCENES / "static.toml").read_text(),
 }  # fmt: skip
 _UNIT = "[[1e4, 0, 0], [0, 1e4, 0], [0, 0, 1e4]]"
 NO_SENSOR = {  # calibrations that no sensor can have: matrix, variance and covariance of SG1 with SG2, what is said
@@ -57,6 +58,7 @@ MACROS = {
     "FIT": "calibrate fit data.csv --saturation none", "GUIDE": "calibrate guide --node 5 --auto -q --session s.csv",
     "ESTIMATE": "estimate cal.toml readings.csv", "PLOT": "plot run.log -o x.png",
     "OPTIMISE": "design optimise --starts 2",
+    "SHIPPED": ", ".join(sorted(path.stem for path in SCENES.glob("*.toml"))),
     "NO_LOG": "prose.txt: no frames in it; is it a log? line 1: 'these are no frames'",
     "NO_BUS": "no bus given: no CAN interface here; use -i and -c, as in -i slcan -c /dev/ttyACM0",
 }  # fmt: skip
@@ -88,6 +90,8 @@ decode run.log --format parquet => needs --output FILE
 decode none.log | dump none.log | view none.log | monitor none.log => @: no such file
 decode none/*.log => no file matches
 decode . => is a directory; name its logs
+dump . => @: is a directory
+dump run.log --sync 100 | monitor run.log --sync 100 | view run.log --sync 100 => is no bus to listen to
 decode - run.log => stdin cannot be decoded together with files
 decode --calibration none.toml run.log | hand check hand.toml => none.toml: No such file
 decode --dbc none.dbc run.log => none.dbc
@@ -112,6 +116,7 @@ sdo read x 0x1000 0 NOBODY => argument ID: node-id 'x': allowed are 1 to 127 (10
 tare 5 --clear --show X | vcan --host --uml -- true => not allowed with argument
 scan -i nonsense => invalid choice: '@'
 scan --wait -1 X | scan --wait nan X | scan --wait inf X => %: '@': allowed is 0 s or more
+scan --timeout 0 X | scan --timeout -1 X | scan --timeout nan X | scan --timeout inf X | scan --retries -1 X => allowed
 read 5 -n x X => '@': allowed are whole numbers from 1
 config show 5 x.toml X => takes no FILE
 hand check twice.toml => node_id
@@ -141,6 +146,10 @@ dump ,181:7FF - => no channel
 dump - - => only one
 dump -L -a - => -L and -a
 dump -ta untimed.log | replay untimed.log X | plot untimed.log -o x.png => no timestamps
+decode --from 1 untimed.log -o x.csv => no timestamps
+decode run.log -o taken => taken/: is not empty and not a dataset
+decode run.log -o data/ --resample 10 | decode run.log -o data/ --calibration cal.toml => leave out --calibration
+decode run.log -o a.csv --hand left => --hand: is a partition of a dataset
 log -o run.log X => @ exists
 log -o run.xyz X | log -o run.blf.gz X | log -o run X => allowed are .asc,
 log run.log X => allowed are buses
@@ -170,6 +179,7 @@ FIT --serial -1 | NODE --serial -1 => '@': allowed are 0 to 0xFFFFFFFF
 FIT --layout IV | GUIDE --layout IV BUS | calibrate budget --layout IV => layout '@': neither one of I, II, III
 NODE --layout IV | design sweep h1 --layout IV => layout '@': neither one of I, II, III
 FIT --layout five.toml => has 5 gauges
+NODE --layout . => Is a directory
 FIT --no-offset --drift tare => needs an offset to drift
 FIT -o static.toml => @: the existing file is not a calibration file
 GUIDE --samples 5 BUS => --samples 5: allowed is 10 to 100000
@@ -190,7 +200,7 @@ export eds -o cal.toml => @: the existing file is not an EDS or DCF
 export eds -o . => is a directory; name a file
 design optimise -o cal.toml => @: the existing file is not a layout file
 demo --view --host 192.0.2.1 | view run.log --host 192.0.2.1 | demo --view --host 0.0.0.0 --token auto => --host
-view run.log --host 0.0.0.0 --token auto => --host
+view run.log --host 0.0.0.0 --token auto | view run.log --host hand.local => --host
 demo --view --port 70000 | view run.log --port 70000 => % @: allowed are 0
 demo --view --token short | view run.log --token short => --token
 view none.toml -i virtual --port 0 | view - -i virtual --port 0 | view run.log --no-bring-up -i virtual --port 0 =>
@@ -230,6 +240,8 @@ scan | READ 0x1017 0 u16 | dump | log | node --node-id 5 | view => NO_BUS
 log vcan0 -n 0 | dump vcan0 -T 1.5 | replay run.log --loop 0 => %: '@': allowed are whole numbers from 1
 config apply 5 much.toml NOBODY => interrupt_delta:1 (0x6133:01): 'much' is not REAL32: write a number, nan or inf
 config apply 5 unknown.toml NOBODY => contact_unknown
+config apply 5 none.toml NOBODY | config apply 5 none.dcf NOBODY => @: No such file or directory
+config apply 5 empty.dcf NOBODY => @: no [section] in it
 config apply 5 minus.toml NOBODY => write $NODEID+0x180
 config save 5 NOBODY => which FILE?
 calibrate verify absent.toml --node 5 X => calibration absent.toml: No such file or directory
@@ -271,7 +283,14 @@ config apply 5 binary.toml NOBODY | hand check binary.toml | doctor binary.toml 
 config apply 5 folder.toml NOBODY | calibrate fit folder.toml | simulate folder.toml X => @: Is a directory
 calibrate fit binary.toml => @: line 1: byte 0xFA is not UTF-8
 calibrate fit nan.csv => @: no row can be used; the first: line 2: P_N is 'nan'
-calibrate guide --node 5 --weights -4.4 X => % '@': allowed are newtons above 0
+calibrate guide --node 5 --weights -4.4 X | GUIDE --weights heavy BUS => % '@': allowed are newtons above 0
+GUIDE --grooves x30,z20 BUS => 'z20': allowed are paper, or grooves: x30,y60
+GUIDE --grooves y190 BUS => theta 0 to 180
+GUIDE --grooves x30,x45 BUS => cannot show
+GUIDE --plan none.toml BUS => @: No such file
+calibrate budget -o no/b.png => does not exist; create it first
+calibrate budget folder.toml | calibrate budget binary.toml => calibration @
+run grsp | run --explain grsp | view grsp => grsp: no such file; by name ship SHIPPED
 estimate empty.toml readings.csv => empty.toml: calibration is missing
 hand check inf.toml => node_id is inf: allowed are finite numbers
 hand check fast.toml => sync_hz = 1e+12: allowed are 0 (another sends it) to 10000
@@ -283,7 +302,7 @@ decode run.log --eds empty.dcf => the form is ID=FILE
 dataset show none => @: is not a dataset
 run grasp --duration nan => % @: allowed are more than 0
 conformance X => one of the arguments --node-id --list is required
---completion powershell => allowed are bash, zsh, fish
+--completion powershell | --completion => allowed are bash, zsh, fish
 exit 1
 monitor empty.log | dump empty.log | decode empty.log | plot empty.log -o x.png => empty.log: no frames in it
 view empty.log => empty.log: no frames in it
@@ -298,6 +317,7 @@ decode j1939.log | plot j1939.log -o x.svg => all have 29-bit identifiers, which
 monitor j1939.log => all have 29-bit identifiers, which CANopen does not use
 decode other.log -o x.csv | view other.log => `tipforce dump --decode` shows what they are
 dump prose.txt => other formats: `tipforce decode`
+dump binary.toml => binary.toml: no frames in it; is it a log?
 exit 5
 scan --nodes 50-60 --wait 0.01 BUS => is the bus powered and terminated, is the bit rate right?
 scan --nodes 50 --wait 0 -q BUS =>
@@ -349,7 +369,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def files(folder: Path) -> dict[Path, bytes]:
-    return {path: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    paths = (*folder.iterdir(), *(folder / "taken").iterdir())
+    return {path: path.read_bytes() for path in paths if path.is_file()}
 
 
 @pytest.mark.parametrize(("command", "code", "text"), WRONG, ids=[command for command, _, _ in WRONG])

@@ -139,12 +139,9 @@ def test_a_number_edited_by_hand_is_noticed(tmp_path: Path) -> None:
     ("old", "new", "text"),
     [
         (MATRIX, "[[1, 0], [0, 2.0], [0, 0]]", r"matrix: shape \(3, 2\), allowed \(3, 3\)"),
-        (MATRIX, "[]", r"matrix: shape \(0,\), allowed"),
         (MATRIX, "[[1, 0, 0], [0, 2], [0]]", r"the rows of matrix_\w+ differ in length"),
         (MATRIX, '[["a"]]', r"matrix_newtons_per_strain is \[\['a'\]\]: expected float, got str at \[0\]\[0\]"),
-        ("[1, 2.5, -3]", "[1, 2]", r"offset: shape \(2,\), allowed is \(3,\)"),
         ("[1, 2.5, -3]", "3", r"calibration\.offset_microstrain is 3: expected array, got int"),
-        ("[[0.25, 0, 0]", "[[0.25, 0.1, 0]", r"covariance: not symmetric"),
         ('"pull"', '"sideways"', r"load_sense is 'sideways', allowed: push, pull"),
         ("load_sense", "sense", r"calibration\.sense: no such key; did you mean load_sense\? allowed"),
         ('"pull"', '"pull"\nlayout = "IV"', r"layout is 'IV', allowed: I, II, III, custom"),
@@ -164,20 +161,6 @@ def test_what_is_wrong_in_a_file_is_named(tmp_path: Path, old: str, new: str, te
     with pytest.raises(InputError, match=text) as caught:
         read_text(tmp_path, GOOD.replace(old, new))
     assert str(caught.value).startswith(f"calibration {tmp_path / 'cal.toml'}: ")
-
-
-def test_files_that_cannot_be_read_or_written(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"calibration .*absent\.toml: No such file or directory"):
-        read_calibration(tmp_path / "absent.toml")
-    with pytest.raises(InputError, match=r"none\.csv: No such file"):
-        read_measurements(tmp_path / "none.csv", loads=True)
-    with pytest.raises(InputError, match=r"Is a directory"):
-        read_calibration(tmp_path)
-    (tmp_path / "cal.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match=r"cal\.toml: "):
-        read_calibration(tmp_path / "cal.toml")
-    with pytest.raises(InputError, match="absent does not exist; create it first"):
-        write_calibration(tmp_path / "absent" / "cal.toml", beam_calibration())
 
 
 @pytest.mark.parametrize(
@@ -243,6 +226,7 @@ def test_a_file_of_version_1_is_read_by_its_own_crc(tmp_path: Path) -> None:
         ({"converter_limit_strain": np.array([1.0, -1.0, 1.0])}, "calibration converter_limit_strain: -1, allowed"),
         ({"gain_temperature_per_K": np.inf}, "calibration gain_temperature_per_K: inf is not finite"),
         ({"temperature_min_degC": 3.0, "temperature_max_degC": 2.0}, "temperature_min_degC: 3 is above"),
+        ({"theta_min_deg": 170.0, "theta_max_deg": 10.0}, "theta_min_deg: 170 is above"),
         ({"converter_limit_strain": np.ones(2)}, r"converter_limit_strain: shape \(2,\), allowed is \(3,\)"),
     ],
 )

@@ -263,25 +263,6 @@ def test_a_plan_file_that_is_wrong(plan: Callable[[str], Path], old: str, new: s
     assert reason in str(caught.value)
 
 
-def test_no_plan_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="No such file"):
-        file_plan(tmp_path / "plan.toml")
-    (tmp_path / "plan.toml").write_text('[[step]]\nmode = "tare"\n')
+def test_a_plan_without_a_load(plan: Callable[[str], Path]) -> None:
     with pytest.raises(InputError, match="no step has a load"):
-        file_plan(tmp_path / "plan.toml")
-
-
-@pytest.mark.parametrize(
-    ("weights", "grooves", "reason"),
-    [
-        ("heavy", "paper", "--weights 'heavy': allowed are newtons above 0"),
-        ("4.4,-1", "paper", "--weights"),
-        ("4.4", "x30,z20", "'z20': allowed are paper, or grooves: x30,y60"),
-        ("4.4", "y190", "theta 0 to 180"),
-        ("4.4", "x30,x45", "cannot show"),
-    ],
-)
-def test_weights_and_grooves_that_do_not_do(weights: str, grooves: str, reason: str) -> None:
-    with pytest.raises(InputError) as caught:
-        groove_plan(weights, grooves)
-    assert reason in str(caught.value)
+        file_plan(plan('[[step]]\nmode = "tare"\n'))

@@ -94,21 +94,10 @@ def unchecked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Calibration, "check", lambda _calibration: None)
 
 
-@pytest.mark.parametrize(
-    ("changes", "text"),
-    [
-        ({"C": np.zeros((3, 3))}, "matrix: rank below 3"),
-        ({"C": np.full((3, 3), np.nan)}, "matrix: nan is not finite"),
-        ({"covariance_strain2": 1e-12 * (2.0 * np.ones((3, 3)) - np.eye(3))}, "covariance: not positive"),
-        ({"theta_min_deg": 170.0, "theta_max_deg": 10.0}, "theta_min_deg: 170 is above"),
-    ],
-)
-def test_the_host_sends_no_calibration_that_no_sensor_can_have(
-    bench: Bench, changes: dict[str, object], text: str
-) -> None:
+def test_the_host_sends_no_calibration_that_no_sensor_can_have(bench: Bench) -> None:
     bench.bus.sent.clear()
-    with pytest.raises(InputError, match=text):
-        bench.client.apply_calibration(beam_calibration(**changes))
+    with pytest.raises(InputError, match="matrix: rank below 3"):
+        bench.client.apply_calibration(beam_calibration(C=np.zeros((3, 3))))
     assert not bench.bus.sent
 
 

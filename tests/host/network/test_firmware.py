@@ -115,8 +115,3 @@ def test_a_linux_node_says_why_not(channel: str, tmp_path: Path, capsys: pytest.
     with running([node], channel):
         assert command(channel, written(tmp_path, image())) == 12
     assert "has no program slots (1F56h: abort 0x06020000): update a Linux node on its own" in capsys.readouterr().err
-
-
-def test_a_missing_file(channel: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert command(channel, "/nowhere/program.bin") == 2
-    assert "/nowhere/program.bin: No such file" in capsys.readouterr().err

@@ -26,18 +26,6 @@ def log(tmp_path: Path) -> Path:
     return write_log(tmp_path / "run.log", log_lines(200, (1, 5, 9), health=40))
 
 
-def test_a_directory_with_files_is_not_touched(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    place = tmp_path / "parts"
-    place.mkdir()
-    (place / "notes.txt").write_text("mine")
-    assert decode(log, "-o", place) == 2
-    assert "not a dataset" in capsys.readouterr().err
-    assert [path.name for path in place.iterdir()] == ["notes.txt"]
-    for words in (["--resample", "10"], ["--calibration", "a.toml"]):
-        assert decode(log, "-o", f"{tmp_path}/data/", *words) == 2
-    assert decode(log, "-o", tmp_path / "a.csv", "--hand", "left") == 2
-
-
 def test_columns_that_come_late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from tipforce_tools.decode import session
 

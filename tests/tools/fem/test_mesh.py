@@ -101,14 +101,6 @@ def test_halving_keeps_the_nodes() -> None:
     assert np.array([np.abs(fine - point[:, np.newaxis]).max(axis=0).min() for point in coarse.T]).max() < 1e-15
 
 
-def test_rings_come_as_the_power_law() -> None:
-    mesh = triangulate(STATED, Resolution(3))
-    g = STATED.geometry
-    below = np.sort(mesh.points_m[0, (mesh.points_m[1] == -0.5 * g.h1_m) & (mesh.points_m[0] >= 0.5 * g.h2_m)])
-    rings = below[:7] - 0.5 * g.h2_m
-    np.testing.assert_allclose(rings, rings[-1] * (np.arange(7) / 6.0) ** GRADING, rtol=1e-8, atol=1e-18)
-
-
 def test_graded_cells_do_not_get_long_and_thin() -> None:
     mesh = triangulate(STATED, Resolution(6))
     corner = np.array([[0.5 * STATED.geometry.h2_m], [-0.5 * STATED.geometry.h1_m]])

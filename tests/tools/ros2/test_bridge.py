@@ -25,8 +25,9 @@ from tipforce.watching.watcher import Finger
 from tipforce_robots.ros2 import bridge as diagnosing
 from tipforce_robots.ros2 import cdr, dds
 from tipforce_robots.ros2.bridge import PERIOD_NS, Bridge, Tip
-from tipforce_tools.cli.main import command_parser, main
+from tipforce_tools.cli.main import command_parser
 from tools.decode.logs import START_US, decode, log_lines, number, rows_of, write_log
+from tools.rig import Printed
 
 EMCY = "(1700000000.100010) vcan0 085#3050100000000000"
 NODES = (1, 5)
@@ -120,13 +121,10 @@ def test_topics_types_and_profiles(log: Path) -> None:
     assert START_US < topics.messages["/diagnostics"][0][0] // 1000 < START_US + 3_000_000
 
 
-def test_the_command_publishes_a_log(
-    log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_publishes_a_log(log: Path, monkeypatch: pytest.MonkeyPatch, printed: Printed) -> None:
     topics = Topics()
     monkeypatch.setattr("tipforce_robots.ros2.dds.RosDomain", lambda _domain: topics)
-    assert main(["ros2", str(log), "--speed", "inf", "--nodes", "5", "--namespace", "left", "--json"]) == 0
-    out, err = capsys.readouterr()
+    out, err = printed(0, f"ros2 {log} --speed inf --nodes 5 --namespace left --json")
     count = len(topics.messages["/left/finger_5/wrench"])
     assert json.loads(out) == {"rows": 600, "wrenches": {"finger_5": count}}
     assert f"600 rows, {count} wrenches of 1 finger published" in err
@@ -240,14 +238,11 @@ def test_diagnostics_say_what_the_samples_of_a_period_said() -> None:
     assert cdr.encode(cdr.EMPTY, {}) == b"\x00\x01\x00\x00\x00"
 
 
-def test_a_missing_package_is_one_line_with_the_command(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_missing_package_is_one_line_with_the_command(monkeypatch: pytest.MonkeyPatch, printed: Printed) -> None:
     found = importlib.util.find_spec
     absent: Any = lambda name, *rest: None if name == "cyclonedds" else found(name, *rest)  # noqa: E731
     monkeypatch.setattr("tipforce_tools.ros2.find_spec", absent)
-    assert main(["ros2"]) == 2
-    assert capsys.readouterr().err == "tipforce: ros2 needs cyclonedds: `pip install 'tipforce[ros2]'`\n"
+    assert printed(2, "ros2").err == "tipforce: ros2 needs cyclonedds: `pip install 'tipforce[ros2]'`\n"
 
 
 def test_the_domain_and_the_range_are_those_of_ros() -> None:

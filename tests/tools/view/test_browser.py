@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 import threading
 from collections.abc import Iterator
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, expect
 
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.samples.reasons import NO_ANSWER
@@ -22,22 +21,8 @@ from tipforce_tools.page.sources import LogSource, scene_source
 from tools.view.support import MovingSource, serving
 from tools.view.test_watcher import cycle, written
 
-CHROMIUM = next(
-    (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), ""
-)
 WAIT_MS = 60_000
 GOOD = CONTACT_PRESENT | CALIBRATED
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    """One browser for all tests."""
-    assert CHROMIUM, "these tests need Chromium: tools/bootstrap.sh test installs it"
-    expect.set_options(timeout=WAIT_MS)
-    with sync_playwright() as playwright:
-        found = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield found
-        found.close()
 
 
 def new_page(browser: Browser, **options: Any) -> Page:

@@ -364,13 +364,5 @@ def test_beyond_loopback_everybody_needs_the_token() -> None:
     assert status(guard, host | {"Cookie": f"a=b; tipforce_access={token}"}) == 200
     assert status(guard, host | {"Cookie": "tipforce_access="}) == 401
     assert status(guard, {"Host": "127.0.0.1:8404"}, token) == 421
-
-
-def test_tokens() -> None:
-    assert access_token("127.0.0.1", None) == access_token("::1", None) == access_token("localhost", None) == ""
-    remote = "192.0.2.1"
-    for host, token in ((remote, None), (remote, "short"), (remote, "a" * 15 + "\n"), ("hand.local", None)):
-        with pytest.raises(InputError):
-            access_token(host, token)
     with pytest.raises(InputError):
-        host_names("0.0.0.0")
+        access_token("192.0.2.1", "a" * 15 + "\n")

@@ -1,5 +1,7 @@
-"""The demo: calibrate and store three simulated nodes over SDO, load them as in the paper, read them by PDO. Input from
-the paper: the fabricated geometry, the three gauge cases, the grooves and the 4.4 N weight."""
+"""The demo: calibrate and store three simulated nodes over SDO, load them as in the paper, read them by PDO.
+
+Input from the paper: the fabricated geometry, the three gauge cases, the grooves and the 4.4 N weight.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,6 @@ from tipforce.errors import RefusedError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.network.bus import Bus
-from tipforce.host.network.finger import FingertipClient
 from tipforce.scene.delivered import structure_calibration
 from tipforce.sensor.contact import estimate as contact_model
 from tipforce.sensor.contact.estimate import force_vector
@@ -89,8 +90,10 @@ def coverage_factor(comparisons: int) -> float:
 
 def bounds(calibration: Calibration, applied: FloatArray, z: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return (standard uncertainty, bound of the node's error, bound of host minus node), each for P, phi, theta.
+
     ``applied`` is (P newtons, phi degree, theta degree). The bound is z standard uncertainties from gauge noise, plus
-    half a count of every gauge propagated to the quantity, plus half a step of the PDO's resolution."""
+    half a count of every gauge propagated to the quantity, plus half a step of the PDO's resolution.
+    """
     P, phi, theta = applied[0], *np.radians(applied[1:])
     F = force_vector(P, phi, theta)[np.newaxis]
     u = contact_model.standard_uncertainties(F, calibration.covariance_F, pull=calibration.pull)[0]
@@ -106,9 +109,11 @@ def bounds(calibration: Calibration, applied: FloatArray, z: float) -> tuple[Flo
 
 
 def run_demo(seed: int, spoil: bool, say: Callable[[str], None], advance: Callable[[], None]) -> Iterator[Result]:
-    """Run the demo on an in-process bus; yield one Result per load and node. ``say`` gets a line per step. ``spoil``
-    corrupts one element of each matrix. Raises RefusedError if a node has lost its stored calibration after the
-    reset."""
+    """Run the demo on an in-process bus; yield one Result per load and node.
+
+    ``say`` gets a line per step, ``advance`` is called once per load. ``spoil`` corrupts one element of each matrix.
+    Raises RefusedError if a node has lost its stored calibration after the reset.
+    """
     comparisons = len(CASES) * 2 * len(GROOVES_DEG) * len(QUANTITIES)
     z = coverage_factor(comparisons)
     with _nodes(seed) as connection:
@@ -146,19 +151,21 @@ def _nodes(seed: int) -> Iterator[Bus]:
 
 
 def _calibrate(connection: Bus, node_id: int, calibration: Calibration, say: Callable[[str], None]) -> None:
-    client = FingertipClient(connection.sdo(node_id))
+    """Write, verify and store; then reset the node, so that it uses the stored calibration."""
+    finger = connection.finger(node_id)
     prefix = f"node {node_id}, case {CASES[node_id - 1]}, {'pull' if calibration.pull else 'push'}: "
-    client.apply_calibration(calibration, on_step=lambda step: say(prefix + step))
+    finger.apply_calibration(calibration, on_step=lambda step: say(prefix + step))
     connection.buffer.clear()
     connection.nmt("reset-node", node_id)
     connection.wait_for({codes.HEARTBEAT_BASE + node_id})
-    differences = client.verify_calibration(calibration)
+    differences = finger.verify_calibration(calibration)
     if differences:
         raise RefusedError(f"node {node_id} lost its calibration in a reset: {differences[0]}")
     say(prefix + f"after a reset the stored calibration is active (CRC-32 0x{calibration.crc32():08X})")
 
 
 def _one_load(connection: Bus, calibrations: dict[int, Calibration], applied: FloatArray, z: float) -> Iterator[Result]:
+    """Apply a load to every node, send one SYNC, compare the responses."""
     for node_id in calibrations:
         for entry, value in zip((od.SIMULATION_P, od.SIMULATION_PHI, od.SIMULATION_THETA), applied, strict=True):
             connection.sdo(node_id).write(entry, float(value))
@@ -179,6 +186,7 @@ def _one_load(connection: Bus, calibrations: dict[int, Calibration], applied: Fl
 
 
 def _quantities(pdo: Message, data: bytes) -> FloatArray:
+    """Return the three quantities with which a PDO begins; NaN for one that the node marks unknown."""
     values = []
     for signal in pdo.signals[:3]:
         raw = int.from_bytes(data[signal.start_bit // 8 :][: signal.bits // 8], "little", signed=signal.signed)
@@ -187,6 +195,7 @@ def _quantities(pdo: Message, data: bytes) -> FloatArray:
 
 
 def _difference(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return a - b of two (P, phi, theta) triples, the angles wrapped into -180..180 degrees."""
     difference = a - b
     difference[1:] = (difference[1:] + 180.0) % 360.0 - 180.0
     return difference
