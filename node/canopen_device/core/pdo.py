@@ -161,7 +161,6 @@ class ReceivePdos(Timed):
         self._schedule()
 
     def _changed(self) -> None:
-        """Clear the error of a PDO that has another identifier or is no longer valid."""
         for code in (PDO_LENGTH, RPDO_TIMEOUT):
             self._device.emcy.cure_all_but(code, self.can_ids())
         self._schedule()
@@ -362,7 +361,6 @@ class TransmitPdos(Timed):
         pdo.due_us = now_us + max(pdo.event_us, pdo.inhibit_us) if pdo.event_us else codes.NEVER_US
 
     def _is_timed(self, pdo: TransmitPdo) -> bool:
-        """Return whether a PDO is event-driven and may be sent now."""
         operational = self._device.nmt.state == codes.OPERATIONAL
         return operational and pdo.active and pdo.transmission > codes.LAST_SYNCHRONOUS
 

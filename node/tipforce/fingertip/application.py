@@ -74,8 +74,6 @@ class Fingertip(Application):
         self._waiting: "Reading | None" = None  # read for a tare or zero; the next latch has not taken it yet
         self.sample = Sample(None, self.channels.scaling, self.calibration.active)
 
-    # --- the device calls these -----------------------------------------------------------------------------
-
     def on_reset(self, now_us: int) -> None:
         """Parameters are restored: forget tare and samples, take the scaling as it stands."""
         self.channels.load()
@@ -154,12 +152,10 @@ class Fingertip(Application):
                 self._latch(now_us, self._counter if by_sync else 0, not by_sync)
 
     def _latch(self, now_us: int, number: int = 0, counts: bool = True, waits: bool = False) -> None:
-        """Take the newest reading; without a new one the last sample stands, marked stale.
-
-        ``waits``: it stands as it was, until there is a new one or a fault; a converter may be slower than 6114h.
-        With 1019h the counter (2121h) is the number of the SYNC, 0 for a latch without SYNC; otherwise it counts
-        samples, and a stale one, or one between two SYNCs that shows a fault, repeats it.
-        """
+        """Take the newest reading; without a new one the last sample stands, marked stale. ``waits``: it stands as it
+        was, until there is a new one or a fault; a converter may be slower than 6114h. With 1019h the counter (2121h)
+        is the number of the SYNC, 0 for a latch without SYNC; otherwise it counts samples, and a stale one, or one
+        between two SYNCs that shows a fault, repeats it."""
         before = self.sample
         sample = self._sampled(now_us)
         if waits and sample.stale and sample.faults == before.faults:
@@ -176,7 +172,6 @@ class Fingertip(Application):
             self.interrupts.check()
 
     def _sampled(self, now_us: int) -> Sample:
-        """Return the sample that a latch would take now."""
         filtered = None
         if self.filtering is None:
             reading = self.source.read(now_us)
@@ -214,7 +209,6 @@ class Fingertip(Application):
         return sample
 
     def _silent(self, now_us: int) -> bool:
-        """The front end has given nothing for longer than a sample period can explain."""
         return now_us - self._read_us > max(NO_DATA_US, 2 * self.source.period_us)
 
     def watch(self, reading: "Reading", before: "Reading | None", now_us: int) -> int:
@@ -241,8 +235,6 @@ class Fingertip(Application):
             if equal[k] >= FROZEN_READINGS and self.channels.noise_counts(k, self.calibration.active) >= 1.0:
                 self.frozen |= 1 << k
         return faults | 1 << table.FAULT_FROZEN if self.frozen else faults
-
-    # --- commands -------------------------------------------------------------------------------------------
 
     def command(self, value: int) -> int:
         """2130h: 1 tare, 2 clear tare, 3 zero gauges. Returns the abort code of one that cannot be done now."""
@@ -287,8 +279,6 @@ class Fingertip(Application):
         if self.channels.scaling != scaling:
             self.reports.changed()
         return abort
-
-    # --- objects --------------------------------------------------------------------------------------------
 
     def _read_uncertainty(self, sub: int) -> float:
         if sub == 1:

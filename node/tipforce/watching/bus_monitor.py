@@ -105,10 +105,7 @@ class Emergency:
 
 @dataclass(frozen=True, slots=True)
 class NodeView:
-    """One row. ``age_s``: age of the last sample, None without one.
-
-    ``readings``: P, phi and theta; of a node with an EDS the signals of its TPDOs.
-    """
+    """One row. ``age_s``: of the last sample. ``readings``: P, phi, theta; of a node with an EDS its TPDOs' signals."""
 
     node_id: int
     rate_hz: float
@@ -271,10 +268,8 @@ class _Node:
         return Reading(None, unit, next(filter(None, why), reasons.UNKNOWN_TO_THE_NODE))
 
     def nmt_state(self, now_ns: int) -> tuple[str, bool]:
-        """Return the NMT state, and whether the heartbeat has been missing for three of its periods.
-
-        A boot-up message shows no lasting state: the node leaves it at once, and only a heartbeat shows the next.
-        """
+        """Return the NMT state, and whether the heartbeat has been missing for three of its periods. A boot-up message
+        shows no lasting state: the node leaves it at once, and only a heartbeat shows the next."""
         last_ns = self.heartbeats.last_ns
         if self.nmt is None or last_ns is None:
             return "", False

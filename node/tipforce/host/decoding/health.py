@@ -1,8 +1,6 @@
 """The faults of a node (2124h) as its TPDO4, EMCY and boot-up messages tell them: held until they say otherwise.
-
 ``Health`` follows frames, ``HealthRows`` the tables of a log. By default TPDO4 is off and bits 12 to 15 are in no other
-PDO, so EMCY is all that a bus shows of them; bit 13 has none.
-"""
+PDO, so EMCY is all that a bus shows of them; bit 13 has none."""
 
 from __future__ import annotations
 
@@ -75,10 +73,8 @@ def packed(columns: Mapping[str, npt.NDArray[Any]]) -> IntArray | None:
 
 
 def lost_gauges(columns: Mapping[str, npt.NDArray[Any]], shape: tuple[int, ...]) -> IntArray:
-    """Bits of the gauges that the node left out or found saturated, of samples with ``shape`` (k, n): (k,).
-
-    2124h may come later than the sample; what counts for a sample is its own status.
-    """
+    """Bits of the gauges that the node left out or found saturated, of samples with ``shape`` (k, n): (k,). 2124h may
+    come later than the sample; what counts for a sample is its own status."""
     found = np.zeros(shape[0], dtype=np.int64)
     for gauge in range(shape[1]):
         told = columns.get(f"SG{gauge + 1}_fault")
@@ -89,10 +85,8 @@ def lost_gauges(columns: Mapping[str, npt.NDArray[Any]], shape: tuple[int, ...])
 
 
 class Health:
-    """2124h of each node over time: what is set, and which bits something has told.
-
-    Times are integers that do not decrease from call to call: nanoseconds, or places in a log.
-    """
+    """2124h of each node over time: what is set, and which bits something has told. Times are integers that do not
+    decrease from call to call: nanoseconds, or places in a log."""
 
     def __init__(self, told: Mapping[int, tuple[int, int]] | None = None) -> None:
         """``told``: (faults, seen) by node before the first time."""
@@ -176,10 +170,8 @@ def with_services(signals: tuple[str, ...] | None) -> tuple[str, ...] | None:
 
 
 class HealthRows:
-    """Joins table after table. ``asked``: the signals that are shown; None: all.
-
-    ``told``: (faults, seen) by key before the first table.
-    """
+    """Joins table after table. ``asked``: the signals that are shown; None: all. ``told``: (faults, seen) by key before
+    the first table."""
 
     def __init__(self, asked: tuple[str, ...] | None = None, told: Mapping[int, tuple[int, int]] | None = None) -> None:
         self._asked = asked

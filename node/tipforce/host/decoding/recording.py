@@ -1,11 +1,8 @@
-"""The tables of a recording, from consecutive logs or from parts that are decoded apart: the same as from one log.
-
-A part that is decoded before the parts in front cannot know: rows that are open at its edges, where the counters of its
-nodes continue, the modulus of these counters, and which faults of 2124h are set. So its first frames, the head, only
-bring the decoder into the state that it would have there, and are decoded again after the parts in front. Where that
-ends in the same state, the rows behind the head are right; they still get their counters and faults. Otherwise the
-whole part is decoded again. The ``State`` behind it is known before its rows are written.
-"""
+"""The tables of a recording, from consecutive logs or from parts that are decoded apart: the same as from one log. A
+part decoded before those in front cannot know open rows at its edges, where counters continue, their modulus, and the
+faults (2124h) that are set. So its first frames, the head, only bring the decoder into its state, and are decoded again
+after the parts in front. Where that ends in the same state, the rows behind the head are right, but for counters and
+faults; otherwise the whole part is decoded again. The ``State`` behind it is known before its rows are written."""
 
 from __future__ import annotations
 
@@ -173,10 +170,7 @@ class Recording:
             self.told.unseen = self._health.unseen
 
     def tables_of_part(self, part: DecodedPart) -> Iterator[Table] | None:
-        """Return the tables of the next part, which was decoded apart.
-
-        None, after which this recording is of no use, where it must be decoded after the parts in front.
-        """
+        """The tables of the next part, decoded apart; None (this is then of no use): decode it after those in front."""
         if part.behind_head is None:
             return None
         before, numbers = self._merger.timed or not part.notes.goes_on, self.numbers_of(part.notes.channels)

@@ -29,10 +29,8 @@ FRAME = np.dtype(
     ]
 )
 """One classic CAN frame in 24 bytes: receive time in nanoseconds, SocketCAN can_id (flags included), data length,
-channel (an index into the source's list of interface names), flags (SENT), a zero, data.
-
-All numbers are aligned, and the part after t_ns has the layout of Linux' ``struct can_frame``.
-"""
+channel (an index into the source's list of interface names), flags (SENT), a zero, data. All numbers are aligned, and
+the part after t_ns has the layout of Linux' ``struct can_frame``."""
 
 SENT = 1
 """In ``flags``: this machine sent the frame (TX in candump -x, T in python-can's logs)."""
@@ -71,10 +69,7 @@ def raw_frame(message: can.Message) -> RawFrame:
 
 
 class FrameBuffer:
-    """Store every classic frame from a python-can Notifier until it is read.
-
-    ``limit`` bounds the memory: beyond it the oldest frames are dropped and counted in ``dropped``.
-    """
+    """Store every classic frame of a python-can Notifier until it is read; ``dropped``: the oldest beyond ``limit``."""
 
     def __init__(self, limit: int = 1_000_000) -> None:
         self._frames: list[RawFrame] = []
@@ -102,10 +97,7 @@ class FrameBuffer:
         """Do nothing; called by the Notifier at its end."""
 
     def take(self, can_ids: Collection[int], deadline: float) -> FrameArray:
-        """Remove and return frames up to the one with which each of ``can_ids`` has come, or up to ``deadline``.
-
-        ``deadline`` is a time of ``time.monotonic()``.
-        """
+        """Remove and return frames until each of ``can_ids`` has come, or to ``deadline`` (``time.monotonic()``)."""
         taken, missing = list[RawFrame](), set(can_ids)
         with self._arrived:
             while True:

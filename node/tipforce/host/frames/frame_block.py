@@ -37,10 +37,8 @@ class FdFrame(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CandumpBlock:
-    """Frames from text: ``frames`` FRAME (n,), whose ``channel`` indexes ``names``.
-
-    ``timed`` is False for a line without timestamp; its ``t_ns`` is 0. ``fd``: the CAN FD frames, in order.
-    """
+    """Frames from text: ``frames`` FRAME (n,), whose ``channel`` indexes ``names``. ``timed`` is False for a line
+    without timestamp; its ``t_ns`` is 0. ``fd``: the CAN FD frames, in order."""
 
     frames: FrameArray
     names: tuple[str, ...]

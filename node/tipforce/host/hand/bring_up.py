@@ -1,7 +1,5 @@
-"""Bring up a hand from powered nodes: find, assign node-ids, configure, verify, calibrate, start.
-
-Fingers are brought up in parallel; one that fails does not block the others. Its report names the failed step.
-"""
+"""Bring up a hand from powered nodes: find, assign node-ids, configure, verify, calibrate, start. Fingers are brought
+up in parallel; one that fails does not block the others. Its report names the failed step."""
 
 from __future__ import annotations
 
@@ -64,10 +62,8 @@ class FingerReport:
 
 
 def bring_up(connection: Bus, hand: HandFile, on_event: OnEvent) -> tuple[list[FingerReport], set[int]]:
-    """Bring all fingers up; return a report for each, in file order, and the node-ids of all nodes on the bus.
-
-    Raises InputError for an invalid file.
-    """
+    """Bring all fingers up; return a report for each, in file order, and the node-ids of all nodes on the bus. Raises
+    InputError for an invalid file."""
     plans = {finger.node_id: wanted_settings(hand, finger) for finger in hand.finger}
     for finger in hand.finger:
         connection.nmt("preop", finger.node_id)  # no PDOs during configuration; SDO works, also after a stop

@@ -1,7 +1,5 @@
-"""Events of a hand in order: heartbeats, boot-ups, EMCY, faults of the bus, identifiers that babble.
-
-Frames and time in, events out; no clock and no bus inside.
-"""
+"""Events of a hand in order: heartbeats, boot-ups, EMCY, faults of the bus, identifiers that babble. Frames and time
+in, events out; no clock and no bus inside."""
 
 from __future__ import annotations
 
@@ -43,10 +41,7 @@ class Event:
 
 
 class Supervisor:
-    """Monitor heartbeats and EMCY of ``node_ids``; ``timeout_s`` is the heartbeat time-out of an operational node.
-
-    Monitoring of a node starts with its first heartbeat.
-    """
+    """Monitor heartbeats and EMCY of ``node_ids``, each from its first heartbeat; ``timeout_s``: when operational."""
 
     def __init__(self, node_ids: Sequence[int], timeout_s: float = 0.5) -> None:
         self.timeout_s = timeout_s
@@ -108,11 +103,8 @@ class Supervisor:
 
 
 def waited_s(frames: FrameArray, now_ns: int) -> float:
-    """Return how long the last of these frames waited to be read, by its time stamp and the clock (ns since 1970).
-
-    A host that was suspended reads old frames first: unread frames must not count as silence. 0 without frames, and
-    for time stamps of another clock.
-    """
+    """Return how long the last of these frames waited to be read, by its time stamp and the clock (ns since 1970):
+    unread frames must not count as silence after a suspend. 0 without frames, and for time stamps of another clock."""
     late_s = (now_ns - int(frames["t_ns"][-1])) * 1e-9 if len(frames) else 0.0
     return late_s if 0.0 < late_s < MOST_WAITED_S else 0.0
 
@@ -125,10 +117,7 @@ _BEYOND_HEARTBEATS = codes.HEARTBEAT_BASE + codes.NODE_ID_MASK + 1  # LSS
 
 
 class BabbleWatch:
-    """Count every 11-bit identifier over WINDOW_S and compare with TIMES_SYNC times the rate of the SYNC.
-
-    ``sync_hz`` 0: the rate of the received SYNCs is used.
-    """
+    """Count every 11-bit identifier over WINDOW_S, to be below TIMES_SYNC SYNCs (``sync_hz``, 0: those received)."""
 
     def __init__(self, sync_hz: float) -> None:
         self._sync_hz = sync_hz
@@ -170,5 +159,4 @@ class BabbleWatch:
 
 
 def _node(can_id: int) -> int:
-    """Return the node-id by the predefined connection set; 0 for an identifier of no node."""
     return can_id & codes.NODE_ID_MASK if can_id > codes.SYNC_COB_ID else 0

@@ -5,8 +5,7 @@
             print(row["thumb"].P_newtons)
 
 ``blocks`` returns the same as arrays, many rows at a time; both also exist for asyncio, blocks also by callback. One
-thread receives; a consumer that is too slow loses the oldest rows, counted in ``overrun``.
-"""
+thread receives; a consumer that is too slow loses the oldest rows, counted in ``overrun``."""
 
 from __future__ import annotations
 
@@ -105,13 +104,10 @@ class Hand:
         **bus_options: Any,
     ) -> Hand:
         """Return a running hand: every finger is found, configured, calibrated and started, and SYNCs are sent.
-
-        ``fingers``: the path of a hand file; or node-ids by name, ``{"thumb": 1, "index": 2}``; or node-ids. ``bus``:
-        an open one, which stays open; or ``bus_options``, keywords of ``can.Bus``, which override the file's [bus].
-        ``plan``: the [hand] settings without a hand file. Raises RefusedError naming the fingers that failed and the
-        reasons, unless ``need_all`` is False; InputError for an invalid file, EnvironmentLackError for a bus that does
-        not open.
-        """
+        ``fingers``: the path of a hand file, node-ids, or these by name. ``bus``: an open one, which stays open; or
+        ``bus_options`` of ``can.Bus``, before the file's [bus]. ``plan``: [hand] without a file. Raises RefusedError
+        naming the fingers that failed and why, unless ``need_all`` is False; InputError for an invalid file,
+        EnvironmentLackError for a bus that does not open."""
         file = read_hand(fingers) if isinstance(fingers, str | Path) else hand_of(fingers, plan or HandPlan())
         hand = cls.from_file(file, bus=bus, **bus_options)
         try:
@@ -164,10 +160,8 @@ class Hand:
         self._start_sync()
 
     def rows(self, timeout_s: float | None = None) -> HandRows[HandRow]:
-        """Return rows as they are completed, each with a Contact by name of finger; for ``for`` and ``async for``.
-
-        They end when the hand stops, or after ``timeout_s`` without a row (None: never; not with ``async for``).
-        """
+        """Return rows as they are completed, each with a Contact by name of finger; for ``for`` and ``async for``. They
+        end when the hand stops, or after ``timeout_s`` without a row (None: never; not with ``async for``)."""
         for place, finger in enumerate(self.file.finger):
             self._calibrations[place] = self.calibration(finger)
         names = [finger.name for finger in self.file.finger]
@@ -214,11 +208,9 @@ class Hand:
         return self._delivery.error
 
     def tare(self, finger: str | int) -> str:
-        """Take the present force of a finger (its name or node-id) as zero; return its tare as text.
-
-        A tare by another master, or by ``connection``, is a change that ``foreign_changes`` decides on. Raises
-        InputError for an unknown finger, NoResponseError, and SdoAbortError if the finger has no force now.
-        """
+        """Take the present force of a finger (its name or node-id) as zero; return its tare as text. A tare by another
+        master, or by ``connection``, is a change that ``foreign_changes`` decides on. Raises InputError for an unknown
+        finger, NoResponseError, and SdoAbortError if the finger has no force now."""
         for plan in self.file.finger:
             if finger in (plan.node_id, plan.name):
                 return self._recovery.tare(plan.node_id)
@@ -349,7 +341,6 @@ class Hand:
                 self._queue.need([LOST])
 
     def _react(self, event: Event) -> None:
-        """Request the recovery that an event calls for."""
         node_id = event.node_id
         if event.kind == "boot_up":
             self._recovery.booted(node_id)
@@ -368,8 +359,6 @@ class Hand:
             self._collector.trust.suspect([node_id], (COUNTER,))
             self._queue.need([node_id])
 
-    # --- SYNC -----------------------------------------------------------------------------------------------------
-
     def _start_sync(self) -> None:
         self._jitter.skip()
         if self.file.hand.sync_hz and not self._stopped.is_set():
@@ -378,8 +367,6 @@ class Hand:
                 first = self._collector.restart()
                 data = [bytes(((first + k - 1) % LARGEST + 1,)) for k in range(LARGEST)]
             self._end_sync = self._link.start_sync(1.0 / self.file.hand.sync_hz, data)
-
-    # --- faults ------------------------------------------------------------------------------------------------
 
     def _lost(self, error: EnvironmentLackError) -> None:
         """Reopen the bus as soon as that works after a fault, and check every finger."""

@@ -1,8 +1,6 @@
-"""Access of a hand to its bus: a connection for SDO and NMT, a receiver for all frames, and a SYNC producer.
-
-On SocketCAN the receiver is a separate raw socket, which also receives the SYNCs that the kernel sends. On other
-interfaces one python-can bus does both, and own SYNCs, sent by a thread, are inserted among the received frames.
-"""
+"""Access of a hand to its bus: a connection for SDO and NMT, a receiver for all frames, and a SYNC producer. On
+SocketCAN the receiver is a raw socket of its own, which also receives the kernel's SYNCs. Elsewhere one python-can bus
+does both, and own SYNCs, sent by a thread, are inserted among the received frames."""
 
 from __future__ import annotations
 
@@ -123,9 +121,7 @@ def open_link(options: Mapping[str, Any]) -> Link:
 
 def kernel_sync(bus: can.BusABC, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
     """Send SYNCs with ``data`` in turn by CAN_BCM on python-can's SocketCAN bus, until the returned function is called.
-
-    Raises EnvironmentLackError.
-    """
+    Raises EnvironmentLackError."""
     messages = [can.Message(arbitration_id=SYNC_COB_ID, is_extended_id=False, data=number) for number in data]
     try:
         task = bus.send_periodic(messages, period_s)
@@ -173,9 +169,7 @@ _LISTEN_S = 0.5  # for the SYNC of another device
 
 def wanted_overflow(link: Link, file: HandFile, nodes: set[int] | None) -> int | None:
     """Return 1019h for the fingers: LARGEST to number, 0 not to; None where no SYNC of another device is received.
-
-    ``nodes``: node-ids of all nodes on the bus; None: they are searched.
-    """
+    ``nodes``: node-ids of all nodes on the bus; None: they are searched."""
     plan = file.hand
     if not plan.sync_hz:
         deadline_s = time.monotonic() + _LISTEN_S

@@ -1,7 +1,5 @@
-"""What a finger sends and what it means: read from the node, compared as the wire carries it, and written back.
-
-Every setting of the dictionary is watched; a new object is, too, without a word here.
-"""
+"""What a finger sends and what it means: read from the node, compared as the wire carries it, and written back. Every
+setting of the dictionary is watched; a new object is, too, without a word here."""
 
 from __future__ import annotations
 
@@ -37,10 +35,7 @@ Changes = dict[Place, tuple[int, int | None]]
 
 @lru_cache
 def watched(gauges: int) -> dict[Place, Entry[Value]]:
-    """Return what decides whether and what a finger sends: every setting, what commands change, and its serial.
-
-    A setting with one allowed value is none.
-    """
+    """What decides whether and what a finger sends: settings with several values, what commands change, its serial."""
     watched_entries: list[Entry[Any]] = [
         entry
         for entry in FingertipObjects(0, gauges).settings.values()
@@ -65,10 +60,8 @@ def of_values(gauges: int) -> frozenset[Place]:
 
 
 def read_meaning(sdo: SdoChannel, gauges: int, places: Collection[Place] | None = None) -> Meaning:
-    """Read what is watched, or some of it.
-
-    Raises as SdoChannel, and RefusedError for a finger that is changed again and again.
-    """
+    """Read what is watched, or some of it. Raises as SdoChannel, and RefusedError for a finger that is changed again
+    and again."""
     for _ in range(_TRIES):
         meaning = {COUNTER: sdo.read(objects.CONFIGURATION_COUNTER)}
         for index, sub in watched(gauges):

@@ -30,10 +30,8 @@ class HandSample:
 
 
 class PolledHand:
-    """Fingertips with ``node_ids`` on one connection. ``messages`` names the PDOs to wait for on each SYNC.
-
-    Raises InputError for no node-id, a repeated one, or a message that the dictionary does not have.
-    """
+    """Fingertips with ``node_ids`` on one connection. ``messages`` names the PDOs to wait for on each SYNC. Raises
+    InputError for no node-id, a repeated one, or a message that the dictionary does not have."""
 
     def __init__(
         self, connection: Bus, node_ids: Sequence[int], gauges: int = 3, messages: Sequence[str] = ("Contact",)

@@ -34,11 +34,9 @@ _SIDE_BY_SIDE = 8
 
 
 class Recovery:
-    """Set fingers up as in the hand file. ``connection`` returns the present one.
-
-    ``overflow`` is the value of 1019h that the SYNC asks for; None: it is left as it is. ``Trust`` knows what each
-    finger sends, also while it boots, and shows values while that holds.
-    """
+    """Set fingers up as in the hand file. ``connection`` returns the present one. ``overflow`` is the value of 1019h
+    that the SYNC asks for; None: it is left as it is. ``Trust`` knows what each finger sends, also while it boots, and
+    shows values while that holds."""
 
     def __init__(
         self, file: HandFile, connection: Callable[[], Bus], supervisor: Supervisor, collector: Collector,
@@ -67,10 +65,8 @@ class Recovery:
             return True  # searched as one that is lost
 
     def prepare(self, node_id: int) -> None:
-        """Number the SYNC of a finger that is up, and learn what its values mean. Raises as SdoChannel.
-
-        A finger that differs from the hand file is left without a meaning.
-        """
+        """Number the SYNC of a finger that is up, and learn what its values mean. Raises as SdoChannel. A finger that
+        differs from the hand file is left without a meaning."""
         self._trust.hide(node_id)
         self._number(self._connection().finger(node_id))
         self._learn(node_id)
@@ -152,10 +148,8 @@ class Recovery:
 
     def _learn(self, node_id: int, *, set_up_now: bool = False) -> bool:
         """Read what the values of a finger mean, and show them; return False if that is not as in the hand file.
-
         ``set_up_now``: the settings of the hand file have just been compared. What has no part in the values is taken
-        to be as before, until it is read while they are shown.
-        """
+        to be as before, until it is read while they are shown."""
         plan, known = self._plans[node_id], self._trust.known(node_id)
         later: set[Place] = set()
         if set_up_now and known:
@@ -190,7 +184,6 @@ class Recovery:
         return True
 
     def _decide(self, node_id: int, present: meaning.Meaning, changes: meaning.Changes) -> bool:
-        """Decide by ``foreign_changes`` on what differs from before."""
         policy, known, plan = self._file.hand.foreign_changes, self._trust.known(node_id), self._plans[node_id]
         text = meaning.in_words(changes, plan.gauges)
         unusable = meaning.needed(changes, self._wanted[node_id])
@@ -244,9 +237,7 @@ class Recovery:
 
 class RecoveryQueue:
     """Run ``recover(node_id)`` for fingers that need recovery, in parallel; retry after RETRY_S until it returns True.
-
-    A finger that needs another recovery during one gets it immediately afterwards.
-    """
+    A finger that needs another recovery during one gets it immediately afterwards."""
 
     def __init__(self, recover: Callable[[int], bool]) -> None:
         self._recover = recover

@@ -1,10 +1,7 @@
 """Whether the hand knows what the values of its fingers mean, judged from the frames in the order of the bus.
-
-``known`` is what the hand has read and accepted: each watched object of a finger, as the wire carries it. A download or
-a command to the finger, by whomever, makes what it may change unsure; an SDO response or a health PDO after it says
-what that is now. Values are shown while no object is unsure. An object that is seen otherwise is a change, on which
-``foreign_changes`` decides.
-"""
+``known``: what it has read and accepted of each watched object. A download or a command to the finger, by whomever,
+makes what it may change unsure, until an SDO response or a health PDO says what that is. Values are shown while no
+object is unsure. An object that is seen otherwise is a change, on which ``foreign_changes`` decides."""
 
 from __future__ import annotations
 
@@ -75,10 +72,8 @@ _Handler = Callable[[int, float], None]
 
 class Trust:
     """The fingers ``node_ids``, whose answers have the identifiers ``answers`` (by identifier: place in node_ids).
-
     ``ids`` are the identifiers that ``note`` wants. Every method takes ``lock``, except ``note``, whose caller has it.
-    ``shown[k]``: the values of finger k are shown.
-    """
+    ``shown[k]``: the values of finger k are shown."""
 
     def __init__(self, node_ids: Sequence[int], answers: Mapping[int, int], health: Message, gauges: int) -> None:
         self.lock = threading.Lock()
@@ -120,9 +115,7 @@ class Trust:
 
     def learn(self, node_id: int, known: Mapping[Place, int], later: Collection[Place] = ()) -> None:
         """Show values while each object is seen as in ``known``, in frames that may still wait to be processed.
-
-        ``later``: objects that are still to be read; values are shown meanwhile.
-        """
+        ``later``: objects that are still to be read; values are shown meanwhile."""
         with self.lock:
             finger = self._fingers[node_id]
             finger.known, finger.hidden, finger.changed, finger.announced = known, False, False, False
@@ -270,8 +263,6 @@ class Trust:
             handle(word, now_s)
             self._judge()
 
-    # --- frames -----------------------------------------------------------------------------------------------------
-
     def _nmt(self, word: int, now_s: float) -> None:
         command, node_id = word & 0xFF, word >> 8 & 0xFF
         for finger in self._fingers.values():
@@ -338,7 +329,6 @@ class Trust:
             finger.block_until_s = now_s + _TRANSFER_S if specifier == 6 else -math.inf
 
     def _changed_by(self, finger: Finger, place: Place) -> frozenset[Place]:
-        """Return what a download to a place may change."""
         row = self._rows.get(place)
         if row is not None and place not in self._real_rows:
             return frozenset()  # the load on a simulated finger
@@ -350,10 +340,7 @@ class Trust:
             return self._commanded
         return frozenset((COUNTER,))
 
-    # --- judgement --------------------------------------------------------------------------------------------------
-
     def _doubt(self, finger: Finger, places: Collection[Place], now_s: float, after_s: float = VERIFY_S) -> None:
-        """Make objects unsure until they are read."""
         if not places:
             return
         for place in places:
@@ -400,7 +387,6 @@ class Trust:
 
 
 def _place(word: int) -> Place:
-    """Return the index and sub-index in an SDO frame."""
     return word >> 8 & 0xFFFF, word >> 24 & 0xFF
 
 

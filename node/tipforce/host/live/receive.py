@@ -1,14 +1,11 @@
-"""Live reception: frames from a bus in batches, ready for the bulk decoder.
+"""Live reception: frames from a bus in batches, ready for the bulk decoder: classic frames as a FRAME array, CAN FD
+frames separately. On SocketCAN it reads many frames per call, with the kernel's time stamps and filters (``recvmmsg``);
+every other interface is read through python-can.
 
-``open_receiver`` returns the same interface for every bus. On SocketCAN it reads many frames per call, with the
-kernel's time stamps and filters (``recvmmsg``); every other interface is read through python-can. Classic frames
-are returned as a FRAME array; CAN FD frames separately, for programs that display or record them.
-
-One call of recvmmsg fills memory that numpy reads in place. The compiled core makes FRAME of it at once; without it,
-and for datagrams that are no plain frames, numpy does. Both keep the GIL (ctypes.PyDLL does): with MSG_DONTWAIT the
-call never blocks, and releasing the GIL at each call would yield to a busy thread of this process for up to
-sys.getswitchinterval() (5 ms) each time. Needs a little-endian 64-bit Linux, see ``AVAILABLE``.
-"""
+recvmmsg fills memory that numpy reads in place. The compiled core makes FRAME of it at once; without it, and for
+datagrams that are no plain frames, numpy does. Both keep the GIL (ctypes.PyDLL does): with MSG_DONTWAIT the call never
+blocks, and releasing the GIL would yield to a busy thread for up to sys.getswitchinterval() (5 ms) each time. Needs a
+little-endian 64-bit Linux, see ``AVAILABLE``."""
 
 from __future__ import annotations
 
@@ -93,9 +90,7 @@ def open_receiver(
     options: Mapping[str, Any], selection: Selection | None = None, *, tick_s: float = TICK_S
 ) -> Receiver:
     """Open a receiver on the bus given by ``options`` (keywords of ``can.Bus``) for ``selection`` (None: data frames).
-
-    Raises EnvironmentLackError if the bus cannot be opened; the text says what to do.
-    """
+    Raises EnvironmentLackError if the bus cannot be opened; the text says what to do."""
     chosen = Selection() if selection is None else selection
     if options.get("interface") == "socketcan" and AVAILABLE and options.get("channel") is not None:
         channel = str(options["channel"])
@@ -204,7 +199,6 @@ class SocketReceiver(Receiver):
         return CandumpBlock(self._frames[:count].copy(), tuple(self._names)) if self._is_done else self._block(count)
 
     def _wait(self, timeout_s: float | None) -> int:
-        """Read when it is time and there is something to read; return the number of datagrams."""
         try:
             now = time.monotonic()
             if self._next_s > now:
@@ -226,7 +220,6 @@ class SocketReceiver(Receiver):
         return count
 
     def _read(self) -> int:
-        """Read the waiting datagrams; return their number. Raises OSError, for instance ENETDOWN."""
         if self._is_fast:
             count, plain, drops = core.receive(self._fd, self._memory, _CONTROL.itemsize, self._room)
             self._is_done = bool(plain)
@@ -243,13 +236,11 @@ class SocketReceiver(Receiver):
         raise OSError(number, os.strerror(number))
 
     def _release(self, count: int) -> None:
-        """Prepare the first ``count`` places for the next read; called after their content has been copied."""
         self._control_bytes[:count] = _CONTROL.itemsize
         if self._any:
             self._headers["name_bytes"][:count] = _ADDRESS_BYTES
 
     def _block(self, count: int) -> CandumpBlock:
-        """Return the datagrams of a read as a block; their places are prepared for the next."""
         plain = not np.count_nonzero(self._kinds[:count] != _PLAIN)  # classic frames from other machines
         words = self._words[:count]
         words[:, 0] = self._times_ns(count).view(np.uint64)
@@ -279,10 +270,8 @@ class SocketReceiver(Receiver):
         return CandumpBlock(frames, tuple(self._names), fd=tuple(fd))
 
     def _times_ns(self, count: int) -> npt.NDArray[np.int64]:
-        """Return the kernel's receive time of each, (count,), in nanoseconds since 1970; else the present time.
-
-        Also updates the number of frames that the kernel dropped, which comes with the time.
-        """
+        """Return the kernel's receive time of each, (count,), in nanoseconds since 1970; else the present time. Also
+        updates the number of frames that the kernel dropped, which comes with the time."""
         times_ns: npt.NDArray[np.int64] = self._seconds[:count] * 1_000_000_000 + self._nanoseconds[:count]
         if not count:
             return times_ns
@@ -310,7 +299,6 @@ class SocketReceiver(Receiver):
 
 
 def _rows(array: npt.NDArray[np.generic]) -> npt.NDArray[np.uint64]:
-    """Return the address of each row of a C-contiguous array."""
     return (array.ctypes.data + np.arange(len(array)) * array.strides[0]).astype(np.uint64)
 
 

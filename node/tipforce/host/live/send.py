@@ -47,10 +47,8 @@ class SocketCanSender:
         self._socket.close()
 
     def send(self, can_id: int, length: int, data: bytes, fd_flags: int | None = None) -> None:
-        """Send a frame, ``can_id`` with SocketCAN's flags; ``fd_flags``: of CAN FD, None for a classic frame.
-
-        Raises EnvironmentLackError if the bus fails, NotCarriedError where it carries no CAN FD.
-        """
+        """Send a frame, ``can_id`` with SocketCAN's flags; ``fd_flags``: of CAN FD, None for a classic frame. Raises
+        EnvironmentLackError if the bus fails, NotCarriedError where it carries no CAN FD."""
         is_fd = fd_flags is not None
         frame = _FD_FRAME.pack(can_id, length, fd_flags, data) if is_fd else CAN_FRAME.pack(can_id, length, data)
         give_up_s = 0.0

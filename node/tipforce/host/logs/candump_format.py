@@ -13,13 +13,10 @@ _ERROR_MASK = ERROR_FLAG | EXTENDED_MASK
 
 
 class CandumpFormat:
-    """Format frames as candump does, one string per frame without line end.
-
-    ``timestamps``: "" none, "a" absolute, "z" from zero, "d" since the previous frame, "A" with the local date; ``log``
-    is -L, ``extra`` -x, ``errors`` -e, ``ascii`` -a; ``width`` is the length of the longest interface name on the
-    command line. Like candump, it keeps state: interface names align with the longest so far (not with ``align``
-    False), and 11-bit identifiers are indented after the first 29-bit one.
-    """
+    """Format frames as candump does, one string per frame without line end. ``timestamps``: "", "a", "z", "d", "A" (its
+    -t); ``log`` is -L, ``extra`` -x, ``errors`` -e, ``ascii`` -a; ``width``: of the longest interface name of the
+    command line. Like candump, it keeps state: names align with the longest so far (not with ``align`` False), and
+    11-bit identifiers are indented after the first 29-bit one."""
 
     def __init__(
         self,
@@ -65,7 +62,6 @@ class CandumpFormat:
         return self._with_errors(f"{start} remote request", can_id, data) if remote else self._data(start, can_id, data)
 
     def _start(self, t_us: int, can_id: int, name: str, sent: bool, flags: int) -> str:
-        """Return the part before the length."""
         if can_id & EXTENDED_FLAG and not self._indent:
             self._indent = "     "
         way = f"  {'TX' if sent else 'RX'} {_EXTRA[flags & 3]}" if self._extra else ""
@@ -178,10 +174,8 @@ _LAST_LOCATION = 0x1F
 
 
 def error_text(can_id: int, data: bytes) -> str:
-    """Return the text of an error frame, one class a line, the counters last; ``data`` may be shorter than 8 bytes.
-
-    A class that candump does not know is given by its number (candump repeats the previous line instead).
-    """
+    """Return the text of an error frame, one class a line, the counters last; ``data`` may be shorter than 8 bytes. A
+    class that candump does not know is given by its number (candump repeats the previous line instead)."""
     data = data.ljust(8, b"\0")
     error_class = can_id & EXTENDED_MASK
     if error_class > 1 << len(ERROR_CLASSES):

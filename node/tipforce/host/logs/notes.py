@@ -47,14 +47,10 @@ class BadLine:
 
 @dataclass(slots=True)
 class LogNotes:
-    """Notes on a log: its ``channels`` by number, and counts of everything that is not a data frame.
-
-    ``source`` is its name, ``frames`` counts what was delivered. ``bad`` counts unusable lines or records by reason,
-    ``first_bad`` gives the first one and the expected text. ``skipped`` counts frames without data for a decoder: CAN
-    FD frames (left out), error and remote frames (delivered, with their flags), frames that candump itself dropped.
-    ``timed`` is False after a frame without timestamp; its ``t_ns`` is 0. ``first_bad_line`` and the number of
-    ``lines`` so far are of text; they count within a part of a log. ``goes_on``: a part of the same log is in front.
-    """
+    """Notes on a log: its ``channels`` by number, and counts of all that is no data frame. ``bad`` counts unusable
+    lines or records by reason, ``first_bad`` has the first and the expected text, ``first_bad_line`` and ``lines``
+    numbers of text. ``skipped`` counts CAN FD frames (left out), error and remote frames (delivered), frames that
+    candump dropped. ``timed`` is False after a frame without timestamp; its ``t_ns`` is 0."""
 
     strict: bool = False
     source: str = ""

@@ -63,9 +63,7 @@ class Heartbeats(can.Listener):
 
     def on_error(self, exc: Exception) -> None:
         """Continue to listen after a bus error, which the Notifier keeps for waiting threads; called by the Notifier.
-
-        Without this its thread would end with a traceback. A bus that fails repeatedly must not keep a core busy.
-        """
+        Without this its thread would end with a traceback. A bus that fails repeatedly must not keep a core busy."""
         del exc
         time.sleep(_AFTER_ERROR_S)
 
@@ -297,12 +295,10 @@ class NotReachedError(NoResponseError):
 def command_and_wait(
     connection: Bus, command: str, node_ids: Collection[int], timeout_s: float = 2.0
 ) -> dict[int, str]:
-    """Send an NMT command to each node and wait for its heartbeat; return the state that each reported.
-
-    NMT is not confirmed: a command other than a reset is repeated until the heartbeat reports the state, so a node may
-    boot meanwhile. Raises NotReachedError naming the nodes whose heartbeat did not report it in time: they are off, or
-    their heartbeat (1017h) is slower or 0.
-    """
+    """Send an NMT command to each node and wait for its heartbeat; return the state that each reported. NMT is not
+    confirmed: a command other than a reset is repeated until the heartbeat reports the state, so a node may boot
+    meanwhile. Raises NotReachedError naming the nodes whose heartbeat did not report it in time: they are off, or their
+    heartbeat (1017h) is slower or 0."""
     since_s = time.monotonic()
     wanted, reached = NMT_COMMANDS[command][1], dict[int, str]()
     again_s = timeout_s if command.startswith("reset") else _AGAIN_S

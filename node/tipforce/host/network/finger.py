@@ -70,10 +70,8 @@ class Tare:
 
 
 class Finger:
-    """One finger: its samples, its objects (``sdo``), its calibration. Created by ``Bus.finger``.
-
-    Every method raises NoResponseError and SdoAbortError as ``SdoChannel`` does.
-    """
+    """One finger: its samples, its objects (``sdo``), its calibration. Created by ``Bus.finger``. Every method raises
+    NoResponseError and SdoAbortError as ``SdoChannel`` does."""
 
     def __init__(self, connection: Bus, node_id: int, *, passive: bool = False, default_gauges: int = 3) -> None:
         self.node_id, self.sdo = node_id, connection.sdo(node_id)
@@ -84,22 +82,16 @@ class Finger:
         self._started_s = -math.inf
 
     def read(self, timeout_s: float = 1.0) -> Contact:
-        """Return the newest sample that was not read yet, or the next one, as soon as it arrives.
-
-        If no node sends SYNCs, this method sends one. Raises NoNewSampleError if none arrives within ``timeout_s`` (0:
-        there is none), NoResponseError and SdoAbortError if the finger does not respond, and InputError for a finger
-        that sends no PDO with its contact, its force or all its gauges.
-        """
+        """Return the newest sample that was not read yet, or the next one; sends a SYNC if no node does. Raises
+        NoNewSampleError if none arrives within ``timeout_s`` (0: there is none), NoResponseError and SdoAbortError, and
+        InputError for a finger that sends no PDO with its contact, its force or all its gauges."""
         checked_time("timeout_s", timeout_s)
         period_s = None if self._passive or not timeout_s else 1.0 / DEFAULT_RATE_HZ
         return self._opened().newest(time.monotonic() + timeout_s, period_s)
 
     def samples(self, timeout_s: float = 1.0, rate_hz: float = DEFAULT_RATE_HZ) -> ContactStream:
-        """Yield each new sample as it arrives, for ``for`` and ``async for``.
-
-        If no node sends SYNCs, they are sent at ``rate_hz``. Raises as ``read``; NoNewSampleError after ``timeout_s``
-        without a sample.
-        """
+        """Yield each new sample as it arrives, for ``for`` and ``async for``. If no node sends SYNCs, they are sent at
+        ``rate_hz``. Raises as ``read``; NoNewSampleError after ``timeout_s`` without a sample."""
         from tipforce.host.network.finger_samples import ContactStream
 
         checked_time("timeout_s", timeout_s)
@@ -135,10 +127,8 @@ class Finger:
         return Identity(*(self.sdo.read(part) for part in parts))
 
     def calibration(self) -> Calibration | None:
-        """Return the active calibration, read back over SDO; None if the node has none.
-
-        Raises RefusedError if the CRC-32 of the record differs from that of the node (2103h:3), or for version 1.
-        """
+        """Return the active calibration, read back over SDO; None if the node has none. Raises RefusedError if the
+        CRC-32 of the record differs from that of the node (2103h:3), or for version 1."""
         expected = self.sdo.read(od.CALIBRATION_ACTIVE_CRC)
         if not expected:
             return None
@@ -157,12 +147,9 @@ class Finger:
     def apply_calibration(
         self, calibration: Calibration, store: bool = True, on_step: Callable[[str], None] = lambda _step: None
     ) -> int:
-        """Stage, commit, read back and compare, store; returns the generation (2103h:4).
-
-        Raises RefusedError if the node rejects the commit (the active calibration stays active) or if its content
-        differs from the record that was sent, InputError if the number of gauges differs or if no sensor can have the
-        calibration (``Calibration.check``).
-        """
+        """Stage, commit, read back and compare, store; returns the generation (2103h:4). Raises RefusedError if the
+        node rejects the commit (the active calibration stays active) or its content differs from the record sent,
+        InputError for another number of gauges or what no sensor can have (``Calibration.check``)."""
         calibration.check()
         identity = self.identity()
         if not identity.is_fingertip or identity.gauges != calibration.gauges:
@@ -200,10 +187,7 @@ class Finger:
         return lines
 
     def store(self, calibration: bool = False) -> None:
-        """Store all parameters (1010h:1), or the calibration alone (1010h:4).
-
-        Raises SdoAbortError; for a node without a working store the text says what to do.
-        """
+        """Store all parameters (1010h:1), or the calibration alone (1010h:4). Raises SdoAbortError, with a remedy."""
         try:
             self.sdo.write(od.STORE[4 if calibration else 1], codes.SIGNATURE_SAVE)
         except SdoAbortError as error:
@@ -215,10 +199,8 @@ class Finger:
             ) from None  # fmt: skip
 
     def tare(self) -> None:
-        """Take the force of the latest sample as zero (6139h).
-
-        Raises SdoAbortError if there is no force; the text says what to do.
-        """
+        """Take the force of the latest sample as zero (6139h). Raises SdoAbortError if there is no force; the text says
+        what to do."""
         try:
             self.sdo.write(od.AUTOTARE[self.identity().gauges + 1], table.SIGNATURE_TARA)
         except SdoAbortError as error:
