@@ -1,8 +1,5 @@
-"""`tipforce node` and `simulate`: devices that run on a bus until a signal.
-
-The gauges of a node are simulated, Linux converters, or a recording; a simulated finger is calibrated as a delivered
-one. Simulated devices come from their EDS or DCF, or from a machine in TOML.
-"""
+"""`tipforce node` and `simulate`: devices that run on a bus until a signal, fingers with gauges that are simulated
+(then calibrated as delivered), Linux converters or a recording, and devices of an EDS, a DCF or a machine in TOML."""
 
 from __future__ import annotations
 
@@ -177,7 +174,6 @@ def _simulated(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge
 
 
 def _numbers(flag: str, text: str, count: int) -> Sequence[float]:
-    """Parse ``count`` finite numbers separated by commas. Raises InputError."""
     numbers = [common.number(part) for part in text.split(",")]
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
         raise InputError(f"{flag} {text!r}: expected {count} numbers separated by commas")
@@ -236,7 +232,6 @@ def _devices(args: argparse.Namespace) -> list[SimulatedDevice]:
 
 
 def _values(given: list[str], node_ids: list[int | None]) -> dict[int | None, dict[str, str]]:
-    """Return the values of --set by node-id."""
     by_node: dict[int | None, dict[str, str]] = {}
     for text in given:
         place, equal, value = text.partition("=")

@@ -102,7 +102,6 @@ def _group(
     buses: Sequence[dict[str, Any]], selections: Sequence[Selection | None], tick_s: float, hints: Hints | None,
     sync_hz: float | None,
 ) -> ReceiverGroup:  # fmt: skip
-    """Listen to each bus for its selection; with ``sync_hz`` send SYNCs on each until the group is closed."""
     from tipforce.host.live.receive import open_receiver
     from tipforce.host.live.receiver import ReceiverGroup
 

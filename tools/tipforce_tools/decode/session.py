@@ -1,8 +1,6 @@
-"""One run of `tipforce decode`: from logs through the requested steps to the output and the report.
-
-The rows pass through this process, or workers decode and write the parts of the logs themselves: parts of a file that
-is joined from them, or of a dataset.
-"""
+"""One run of `tipforce decode`: from logs through the requested steps to the output and the report. The rows pass
+through this process, or workers decode and write the parts of the logs themselves: parts of a file that is joined from
+them, or of a dataset."""
 
 from __future__ import annotations
 
@@ -56,9 +54,7 @@ _FEWEST_JOBS = {"parquet": 3}  # of processes: one that reads, decodes and encod
 
 def decode(args: Namespace) -> int:
     """Decode logs; return 0, or 1 for a bad line with --strict, and where frames of too many interfaces are left out.
-
-    Raises InputError for unusable input, EnvironmentLackError for a missing package, OSError for a full disk.
-    """
+    Raises InputError for unusable input, EnvironmentLackError for a missing package, OSError for a full disk."""
     _check(args)
     run = _Run(args)
     code, complete = 0, False
@@ -95,8 +91,6 @@ def _to_dataset(args: Namespace) -> bool:
 
 
 class _Run:
-    """The logs ``names``, and what is known of them: ``summary`` of the rows, ``told`` of all else."""
-
     def __init__(self, args: Namespace) -> None:
         """Raises InputError."""
         self._args = args
@@ -123,10 +117,8 @@ class _Run:
         self.summary = summaries.Summary(self._reading.reasons)
 
     def write(self, advance: Callable[[float], None]) -> None:
-        """Decode and write; ``advance`` takes the bytes of the logs that are done since the last call.
-
-        Raises InputError, WriteError, OSError for stdout.
-        """
+        """Decode and write; ``advance`` takes the bytes of the logs that are done since the last call. Raises
+        InputError, WriteError, OSError for stdout."""
         args = self._args
         if _to_dataset(args):
             self._write_dataset(advance)
@@ -144,7 +136,6 @@ class _Run:
         return self._resampled(self.summary.passing(self._contact(tables)))
 
     def _write_all(self, advance: Callable[[float], None]) -> None:
-        """Write the rows, which pass through this process."""
         args, kind = self._args, self._kind
         check_format(args.output, kind)
         base = (TIME, NODE, *(() if args.resample is not None else (COUNTER,)))
@@ -171,7 +162,6 @@ class _Run:
             common.note(f"not in the CSV, because they appeared after its header: {left_out}")
 
     def _write_parts(self, pieces: list[Piece], advance: Callable[[float], None]) -> None:
-        """Write one file from parts that workers write."""
         from tipforce_tools.decode.workers import InOrder
 
         shape = Shape((TIME, NODE, COUNTER))
@@ -186,10 +176,8 @@ class _Run:
 
     @contextmanager
     def _output(self, inputs: Sequence[str]) -> Iterator[NewFile | None]:
-        """Give the file to write, None for stdout; after the block it is complete, with the events beside it.
-
-        Where something fails, it is gone. Raises InputError; ``inputs`` are refused.
-        """
+        """Give the file to write, None for stdout; after the block it is complete, with the events beside it. Where
+        something fails, it is gone. Raises InputError; ``inputs`` are refused."""
         output = self._args.output
         file = NewFile(output, KINDS[self._kind], inputs) if _to_file(self._args) else None
         try:
@@ -209,7 +197,6 @@ class _Run:
             raise
 
     def _write_dataset(self, advance: Callable[[float], None]) -> None:
-        """Add the logs to a dataset."""
         from tipforce_tools.decode.dataset_run import DatasetRun
 
         args = self._args
@@ -264,7 +251,6 @@ class _Run:
 
 @contextmanager
 def _progress(args: Namespace, names: Sequence[str]) -> Iterator[Callable[[float], None]]:
-    """Show the progress in bytes of the logs; yield what takes the bytes done since its last call."""
     total = sum(Path(name).stat().st_size for name in names if Path(name).is_file())
     rows_on_screen = sys.stdout.isatty() and args.output is None and not args.summary
     if not sys.stderr.isatty() or args.quiet or args.follow or not total or rows_on_screen:
@@ -294,10 +280,8 @@ def _looked_ahead(tables: Iterable[Table]) -> Iterator[Table]:
 
 
 def pieces_of(args: Namespace, kind: str, names: Sequence[str]) -> list[Piece]:
-    """Return the logs in pieces that workers decode and write; none for rows that pass through this process.
-
-    Large logs are cut: equally many pieces per job, of bounded size.
-    """
+    """Return the logs in pieces that workers decode and write; none for rows that pass through this process. Large logs
+    are cut: equally many pieces per job, of bounded size."""
     live = not _to_file(args) or args.follow or "-" in names
     if live or kind not in _JOINED or args.resample is not None or args.calibration:
         return []
@@ -350,10 +334,8 @@ def _jobs(args: Namespace) -> int:
 
 
 def _check_readable(args: Namespace, told: Told) -> None:
-    """Raises LogError for an input without a frame, and for one without a sample if no flag leaves samples out.
-
-    A log that is followed may have them later.
-    """
+    """Raises LogError for an input without a frame, and for one without a sample if no flag leaves samples out. A log
+    that is followed may have them later."""
     from tipforce.host.logs.notes import no_frame, no_sample
 
     names = ", ".join(notes.source for notes in told.notes)
@@ -367,7 +349,6 @@ def _check_readable(args: Namespace, told: Told) -> None:
 
 
 def _check(args: Namespace) -> None:
-    """Check for incompatible flags. Raises InputError."""
     kind, to_dataset = format_of(args.output, args.format), _to_dataset(args)
     rows_pass_here = not _to_file(args) or args.calibration or args.resample is not None
     not_of_mcap = {"--dbc": args.dbc, "--eds": args.eds, "--signals": args.signals, "--scheduler": args.scheduler}

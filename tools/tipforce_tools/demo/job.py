@@ -1,7 +1,5 @@
-"""The demo: calibrate and store three simulated nodes over SDO, load them as in the paper, read them by PDO.
-
-Input from the paper: the fabricated geometry, the three gauge cases, the grooves and the 4.4 N weight.
-"""
+"""The demo: calibrate and store three simulated nodes over SDO, load them as in the paper, read them by PDO. Input from
+the paper: the fabricated geometry, the three gauge cases, the grooves and the 4.4 N weight."""
 
 from __future__ import annotations
 
@@ -90,10 +88,8 @@ def coverage_factor(comparisons: int) -> float:
 
 def bounds(calibration: Calibration, applied: FloatArray, z: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return (standard uncertainty, bound of the node's error, bound of host minus node), each for P, phi, theta.
-
     ``applied`` is (P newtons, phi degree, theta degree). The bound is z standard uncertainties from gauge noise, plus
-    half a count of every gauge propagated to the quantity, plus half a step of the PDO's resolution.
-    """
+    half a count of every gauge propagated to the quantity, plus half a step of the PDO's resolution."""
     P, phi, theta = applied[0], *np.radians(applied[1:])
     F = force_vector(P, phi, theta)[np.newaxis]
     u = contact_model.standard_uncertainties(F, calibration.covariance_F, pull=calibration.pull)[0]
@@ -109,11 +105,9 @@ def bounds(calibration: Calibration, applied: FloatArray, z: float) -> tuple[Flo
 
 
 def run_demo(seed: int, spoil: bool, say: Callable[[str], None], advance: Callable[[], None]) -> Iterator[Result]:
-    """Run the demo on an in-process bus; yield one Result per load and node.
-
-    ``say`` gets a line per step, ``advance`` is called once per load. ``spoil`` corrupts one element of each matrix.
-    Raises RefusedError if a node has lost its stored calibration after the reset.
-    """
+    """Run the demo on an in-process bus; yield one Result per load and node. ``say`` gets a line per step, ``advance``
+    is called once per load. ``spoil`` corrupts one element of each matrix. Raises RefusedError if a node has lost its
+    stored calibration after the reset."""
     comparisons = len(CASES) * 2 * len(GROOVES_DEG) * len(QUANTITIES)
     z = coverage_factor(comparisons)
     with _nodes(seed) as connection:
@@ -151,7 +145,6 @@ def _nodes(seed: int) -> Iterator[Bus]:
 
 
 def _calibrate(connection: Bus, node_id: int, calibration: Calibration, say: Callable[[str], None]) -> None:
-    """Write, verify and store; then reset the node, so that it uses the stored calibration."""
     finger = connection.finger(node_id)
     prefix = f"node {node_id}, case {CASES[node_id - 1]}, {'pull' if calibration.pull else 'push'}: "
     finger.apply_calibration(calibration, on_step=lambda step: say(prefix + step))
@@ -165,7 +158,6 @@ def _calibrate(connection: Bus, node_id: int, calibration: Calibration, say: Cal
 
 
 def _one_load(connection: Bus, calibrations: dict[int, Calibration], applied: FloatArray, z: float) -> Iterator[Result]:
-    """Apply a load to every node, send one SYNC, compare the responses."""
     for node_id in calibrations:
         for entry, value in zip((od.SIMULATION_P, od.SIMULATION_PHI, od.SIMULATION_THETA), applied, strict=True):
             connection.sdo(node_id).write(entry, float(value))
@@ -186,7 +178,6 @@ def _one_load(connection: Bus, calibrations: dict[int, Calibration], applied: Fl
 
 
 def _quantities(pdo: Message, data: bytes) -> FloatArray:
-    """Return the three quantities with which a PDO begins; NaN for one that the node marks unknown."""
     values = []
     for signal in pdo.signals[:3]:
         raw = int.from_bytes(data[signal.start_bit // 8 :][: signal.bits // 8], "little", signed=signal.signed)
@@ -195,7 +186,6 @@ def _quantities(pdo: Message, data: bytes) -> FloatArray:
 
 
 def _difference(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return a - b of two (P, phi, theta) triples, the angles wrapped into -180..180 degrees."""
     difference = a - b
     difference[1:] = (difference[1:] + 180.0) % 360.0 - 180.0
     return difference

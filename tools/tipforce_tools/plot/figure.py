@@ -94,14 +94,12 @@ def plot(args: Namespace) -> int:
 
 
 def _default(layouts: Layouts) -> Iterable[str]:
-    """Return the contact, gauges and status of fingertips, or every signal of devices of another kind."""
     messages = layouts.decoder().messages().values()
     signals = {signal.name: None for _, message in messages for signal in message.signals}
     return _DEFAULT if "P" in signals else signals
 
 
 def _signals(wanted: Iterable[str], layouts: Layouts, computed: frozenset[str]) -> frozenset[str]:
-    """Return the signals of the requested panels. Raises InputError for an unknown name."""
     signals: set[str] = set()
     for name in wanted:
         if name == GAUGES:
@@ -299,7 +297,6 @@ def _share_limits(axes: Sequence[Axes], panel: str, *, whole: bool) -> None:
 
 
 def _angle(value: float) -> str:
-    """Format 190 as -170; 180 and -180 keep their signs on a full-circle axis."""
     shown = value if abs(value) <= TURN / 2 else value - TURN * math.ceil((value - TURN / 2) / TURN)
     return f"{shown:g}"
 
@@ -329,11 +326,8 @@ def broken(starts: BoolArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray,
 
 
 def wrapped(starts: BoolArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Wrap unwrapped angles in degrees: return x (k,) and y (m, k) with the mean, y[0], within -180..180.
-
-    A line that crosses 180 continues beyond it, and starts again one turn lower from below -180: with the axis clipped
-    at both limits, it leaves on one side and enters on the other. The other rows of y are shifted with the mean.
-    """
+    """Wrap unwrapped angles in degrees: return x (k,) and y (m, k) with the mean, y[0], within -180..180, the others
+    with it. A line that crosses 180 continues beyond it, and starts again one turn lower; the axis is clipped."""
     shift = TURN * np.ceil((y[0] - TURN / 2) / TURN)
     crossing = np.flatnonzero((np.diff(shift) != 0) & ~starts[1:]) + 1  # the point after each
     at, before = np.repeat(crossing, 3), crossing - 1

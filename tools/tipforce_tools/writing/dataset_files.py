@@ -120,7 +120,6 @@ def events_file(store: Store, token: str, name: str, events: Sequence[BusEvent])
 
 
 def _partitions(table: Table) -> tuple[npt.NDArray[np.intp], list[int]]:
-    """Return the order of rows by node and day, and where each of these begins and the last one ends."""
     day = table.t_ns // _DAY_NS if table.timed else np.zeros(len(table), dtype=np.int64)
     order = np.argsort(table.key, kind="stable") if (day == day[0]).all() else np.lexsort((day, table.key))
     key, day = table.key[order], day[order]
@@ -147,9 +146,7 @@ def joined_parts(
     store: Store, manifest: Manifest, parts: list[Part], name: str, left: Collection[str] = ()
 ) -> list[Part]:
     """Write the rows of these parts in files ``name``, and return the parts. All files get the columns of the manifest.
-
-    Files at the paths ``left`` stay as they are. Raises LogError for a damaged file, OSError.
-    """
+    Files at the paths ``left`` stay as they are. Raises LogError for a damaged file, OSError."""
     begins = {part.source: first_ns(one for one in parts if one.source == part.source) for part in parts}
     order = sorted(parts, key=lambda part: (begins[part.source], part.source, part.start))
     runs = _runs(manifest, order)
@@ -230,10 +227,7 @@ SHARED_BYTES = 256_000_000
 
 
 def compact(store: Store) -> Manifest:
-    """Join files, give all the same columns, and return the new manifest.
-
-    The last part of the log that was added last stays: it is written again with what follows it.
-    """
+    """Join files, give all the same columns; the last part, which is written again with what follows, stays apart."""
     token = uuid.uuid4().hex[:12]
     manifest = read_manifest(store) or Manifest()
     with run_lock(store, token):

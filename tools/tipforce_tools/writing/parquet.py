@@ -120,10 +120,8 @@ def join_widened(paths: Sequence[Path], output: Path, schema: Any, channel: str)
 
 
 class Parts:
-    """One file to write. New columns begin a new part; ``finish`` merges the parts, an error in ``with`` drops them.
-
-    A thread encodes a row group while the next one is gathered: pyarrow does it without the interpreter's lock.
-    """
+    """One file to write. New columns begin a new part; ``finish`` merges the parts, an error in ``with`` drops them. A
+    thread encodes a row group while the next one is gathered: pyarrow does it without the interpreter's lock."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -171,7 +169,6 @@ class Parts:
         self._encoded = self._thread.submit(self._writer.write_table, group, row_group_size=ROW_GROUP_ROWS)
 
     def _wait(self) -> None:
-        """Wait for the row group that is being encoded. Raises its error."""
         if self._encoded is not None:
             encoded, self._encoded = self._encoded, None
             encoded.result()

@@ -1,8 +1,6 @@
-"""Join Parquet files of one schema without decoding them: their row groups are copied, and one footer names all.
-
-The footer is a FileMetaData of Thrift's compact protocol (parquet.thrift of the Parquet format). It is read as plain
-structures; only the offsets of the column chunks are moved, and the row groups are put into one list.
-"""
+"""Join Parquet files of one schema without decoding them: their row groups are copied, and one footer names all. The
+footer is a FileMetaData of Thrift's compact protocol (parquet.thrift of the Parquet format). It is read as plain
+structures; only the offsets of the column chunks are moved, and the row groups are put into one list."""
 
 from __future__ import annotations
 
@@ -53,10 +51,8 @@ _BLOOM_FILTER = (14, 15)
 
 
 def join(paths: Sequence[Path], out: BinaryIO) -> None:
-    """Write one file with the row groups of all; their schemas must be equal.
-
-    Raises ValueError for a file that is not Parquet.
-    """
+    """Write one file with the row groups of all; their schemas must be equal. Raises ValueError for a file that is not
+    Parquet."""
     out.write(_MAGIC)
     whole: Struct | None = None
     groups: list[Struct] = []
@@ -80,7 +76,6 @@ def join(paths: Sequence[Path], out: BinaryIO) -> None:
 
 
 def _footer(path: Path) -> tuple[Struct, int]:
-    """Return the footer and where it begins."""
     with path.open("rb") as file:
         size = file.seek(0, 2)
         file.seek(max(size - 8, 0))
