@@ -56,8 +56,7 @@ def _lack(case: Case, dut: Dut, persistent: bool) -> str:
 
 
 def run_on(dut: Dut, cases: Iterable[Case], persistent: bool) -> Iterator[Result]:
-    """Run cases on one device in sequence, and leave it as after a reset. Raises LostDeviceError if the device no
-    longer boots after a failed case."""
+    """Run cases on one device, and leave it as after a reset. Raises LostDeviceError if it then no longer boots."""
     try:
         for case in cases:
             result = run_case(case, dut, persistent)

@@ -53,8 +53,7 @@ def enable_tpdo1(
     event_ms: int | None = None,
     sync_start: int | None = None,
 ) -> int:
-    """Set up TPDO1 with this type and mapping (none: unchanged) as ``Dut.pdo_id``; return its CAN-ID. A TPDO1 without
-    mapped objects is not applicable."""
+    """Set up TPDO1 (no words: mapping unchanged) as ``Dut.pdo_id``: its CAN-ID. Not applicable without a mapping."""
     cob_id = disable_pdo(dut, 0x1800)
     if words:
         remap(dut, 0x1A00, *words)

@@ -33,8 +33,7 @@ _CONTACTS, _DIRECTIONS = 61, 9  # midpoints over pad and friction cone; twice as
 
 @dataclass(frozen=True, slots=True)
 class LoadSet:
-    """The loads over which uncertainties are averaged: uniform over the pad and the angles of the friction cone. Raises
-    InputError for a load out of range."""
+    """The loads of an average: uniform over pad and friction cone. Raises InputError for a load out of range."""
 
     load_newtons: float = CALIBRATION_WEIGHT_NEWTONS
 

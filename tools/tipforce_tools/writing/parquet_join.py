@@ -51,8 +51,7 @@ _BLOOM_FILTER = (14, 15)
 
 
 def join(paths: Sequence[Path], out: BinaryIO) -> None:
-    """Write one file with the row groups of all; their schemas must be equal. Raises ValueError for a file that is not
-    Parquet."""
+    """Write one file with the row groups of all, of equal schema. Raises ValueError for a file that is not Parquet."""
     out.write(_MAGIC)
     whole: Struct | None = None
     groups: list[Struct] = []

@@ -170,8 +170,7 @@ def with_services(signals: tuple[str, ...] | None) -> tuple[str, ...] | None:
 
 
 class HealthRows:
-    """Joins table after table. ``asked``: the signals that are shown; None: all. ``told``: (faults, seen) by key before
-    the first table."""
+    """Joins table after table. ``asked``: the signals shown (None: all). ``told``: (faults, seen) before the first."""
 
     def __init__(self, asked: tuple[str, ...] | None = None, told: Mapping[int, tuple[int, int]] | None = None) -> None:
         self._asked = asked

@@ -30,8 +30,7 @@ _GAUGE, _NUMBER, _FLAG, _COUNT = 20, 40, 60, 80
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: ``kind`` is "real", "flag" or "integer". ``digits`` after the point are its resolution (None: as many
-    as needed). ``rank`` orders columns."""
+    """One column: ``kind`` "real", "flag", "integer"; ``digits`` after the point (None: as needed); ``rank``: order."""
 
     name: str
     signal: str

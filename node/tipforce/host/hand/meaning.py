@@ -60,8 +60,7 @@ def of_values(gauges: int) -> frozenset[Place]:
 
 
 def read_meaning(sdo: SdoChannel, gauges: int, places: Collection[Place] | None = None) -> Meaning:
-    """Read what is watched, or some of it. Raises as SdoChannel, and RefusedError for a finger that is changed again
-    and again."""
+    """Read what is watched, or some of it. Raises as SdoChannel, and RefusedError for a finger that keeps changing."""
     for _ in range(_TRIES):
         meaning = {COUNTER: sdo.read(objects.CONFIGURATION_COUNTER)}
         for index, sub in watched(gauges):

@@ -199,8 +199,7 @@ class Finger:
             ) from None  # fmt: skip
 
     def tare(self) -> None:
-        """Take the force of the latest sample as zero (6139h). Raises SdoAbortError if there is no force; the text says
-        what to do."""
+        """Take the force of the latest sample as zero (6139h). Raises SdoAbortError, with a remedy, without one."""
         try:
             self.sdo.write(od.AUTOTARE[self.identity().gauges + 1], table.SIGNATURE_TARA)
         except SdoAbortError as error:
