@@ -1,6 +1,8 @@
-"""Parse candump text: its log format (-L, -l) and its screen format with any -t, -x, -a, -c, -e (can-utils). The
-inverse is ``candump_format``. CAN FD frames are kept separate from classic ones. Lines that are not frames are counted,
-not raised: drop messages and, by reason, bad lines."""
+"""Parse candump text: its log format (-L, -l) and its screen format with any -t, -x, -a, -c, -e (can-utils).
+
+The inverse is ``candump_format``. CAN FD frames are kept separate from classic ones. Lines that are not frames are
+counted, not raised: drop messages and, by reason, bad lines.
+"""
 
 from __future__ import annotations
 
@@ -48,8 +50,10 @@ class CandumpParser:
     """Convert lines to frames, one by one or in bulk; ``notes`` get all else that they tell."""
 
     def __init__(self, notes: LogNotes | None = None, *, strict: bool = False, deltas: bool = False) -> None:
-        """``deltas``: the timestamps are those of -td, each the time since the previous line. Without ``notes``,
-        ``strict`` ones raise BadLineError at the first bad line."""
+        """``deltas``: the timestamps are those of -td, each the time since the previous line.
+
+        Without ``notes``, ``strict`` ones raise BadLineError at the first bad line.
+        """
         self.notes = LogNotes(strict) if notes is None else notes
         self.count = 0
         """Frames gathered by ``gather`` since the last ``take``."""
@@ -84,8 +88,10 @@ class CandumpParser:
         return block
 
     def frame(self, line: str) -> tuple[bytes, bool] | FdFrame | None:
-        """Return the content of the next line: (bytes of a FRAME, whether it is timed), a CAN FD frame, or no frame. An
-        FD frame without a timestamp has t_ns -1. Raises BadLineError for a bad line, if strict."""
+        """Return the content of the next line: (bytes of a FRAME, whether it is timed), a CAN FD frame, or no frame.
+
+        An FD frame without a timestamp has t_ns -1. Raises BadLineError for a bad line, if strict.
+        """
         notes = self.notes
         notes.lines += 1
         try:
@@ -100,6 +106,7 @@ class CandumpParser:
             return None
 
     def _frame(self, line: str) -> tuple[bytes, bool] | FdFrame | None:
+        """Return as ``frame``. ValueError: the reason."""
         match = _LOG.fullmatch(line)
         if match is not None:
             is_fd, flags, length, data = _log_payload(match["rest"])
@@ -120,6 +127,7 @@ class CandumpParser:
         return PACK_FRAME(t_ns or 0, can_id | flags, length, number, SENT if sent else 0, data), t_ns is not None
 
     def _note(self, line: str) -> None:
+        """Note a line that is no frame."""
         drops = re.match(_DROPS, line)
         if drops is not None:
             self.notes.skip(DROPPED, int(drops[1]))
@@ -143,6 +151,7 @@ class CandumpParser:
         return t_ns
 
     def _local_time(self, date: str) -> int:
+        """Return seconds since 1970 of candump -tA's local time."""
         if date not in self._dates:
             self._dates.clear()  # the previous second does not occur again
             try:
@@ -152,6 +161,7 @@ class CandumpParser:
         return self._dates[date]
 
     def _number(self, name: str) -> int:
+        """Return the number of an interface, assigned in order of appearance."""
         number = self._numbers.get(name)
         if number is None:
             if len(self._numbers) >= MAX_CHANNELS:
@@ -162,8 +172,10 @@ class CandumpParser:
         return number
 
     def gather(self, text: bytearray, begin: int, end: int) -> Iterator[FrameArray]:
-        """Read the whole lines ``text[begin:end]``, and yield blocks that are full; CAN FD frames are left out. Raises
-        BadLineError if strict; ``take`` returns the frames before the bad line."""
+        """Read the whole lines ``text[begin:end]``, and yield blocks that are full; CAN FD frames are left out.
+
+        Raises BadLineError if strict; ``take`` returns the frames before the bad line.
+        """
         while begin < end:
             if self.count * FRAME.itemsize == _ROOM_BYTES:
                 yield self.take()
@@ -184,6 +196,7 @@ class CandumpParser:
                 self.count += 1
 
     def _plain(self, text: bytearray, begin: int, end: int) -> int:
+        """Gather the frames of plain lines, by ``parse`` of the compiled core; return the place of the first other."""
         if core is None:
             return begin
         date, seconds = next(iter(self._dates.items()), ("", 0))
@@ -205,8 +218,10 @@ class CandumpParser:
 
 
 def text_blocks(read: Callable[[int], bytes | None], parser: CandumpParser) -> Iterator[CandumpBlock]:
-    """Yield blocks of frames from what ``read(bytes)`` returns, until that is nothing, in bounded memory. Raises
-    BadLineError at a bad line if ``parser`` is strict, after the frames before it."""
+    """Yield blocks of frames from what ``read(bytes)`` returns, until that is nothing, in bounded memory.
+
+    Raises BadLineError at a bad line if ``parser`` is strict, after the frames before it.
+    """
     rest, ended = b"", False
     while not ended:
         chunk = read(_CHUNK_BYTES) or b""
@@ -227,6 +242,7 @@ def _block(frames: bytes | bytearray, names: tuple[str, ...], timed: bool, fd: t
 
 
 def _identifier(text: str) -> int:
+    """Return the can_id with flags, except the remote flag."""
     if _HEX.fullmatch(text) is None or len(text) not in {3, 8}:
         raise ValueError("identifier")
     can_id = int(text, 16)
@@ -243,6 +259,7 @@ _Payload = tuple[bool, int, int, bytes]  # is CAN FD, its flags or the remote fl
 
 
 def _log_payload(text: str) -> _Payload:
+    """Return what the text after the # of a line in the log format says."""
     if text[:1] in {"R", "r"}:
         if text[1:] not in {"", *"012345678"}:
             raise ValueError("length" if text[1:].isdigit() else "data")
