@@ -92,7 +92,11 @@ class Samples:
 
     @cached_property
     def status(self) -> npt.NDArray[np.uint16]:
-        """(n,) bits of ``Status``."""
+        """(n,) bits of ``Status``: of the node, and what an estimate from its gauges adds."""
+        return self._sent_status if self._has_contact else self._sent_status | self._found[1]
+
+    @cached_property
+    def _sent_status(self) -> npt.NDArray[np.uint16]:
         missing = self.reason != PRESENT
         return status_of(self.columns, (len(self),)) | np.where(missing, np.uint16(Status.NO_ANSWER), np.uint16(0))
 
@@ -108,15 +112,24 @@ class Samples:
     @cached_property
     def contact(self) -> FloatArray:
         """(n, 3) P in newtons, phi and theta in degrees; NaN where unknown."""
-        if self.columns.keys() >= {"P", "phi", "theta"}:
-            return contact_values(self.columns, self.gauges, self.status, None)
-        status = self.status | self._calibrated
-        values = np.full((len(self), 3), np.nan)
+        return self._found[0]
+
+    @property
+    def _has_contact(self) -> bool:
+        return self.columns.keys() >= {"P", "phi", "theta"}
+
+    @cached_property
+    def _found(self) -> tuple[FloatArray, npt.NDArray[np.uint16]]:
+        """``contact``, and the doubts of it, (n,)."""
+        if self._has_contact:
+            return contact_values(self.columns, self.gauges, self._sent_status, None)
+        status = self._sent_status | self._calibrated
+        values, doubts = np.full((len(self), 3), np.nan), np.zeros(len(self), dtype=np.uint16)
         for node_id, rows in self._by_node.items():
             columns = {name: column[rows] for name, column in self.columns.items()}
             strain, calibration = self.gauges[rows] * 1e-6, self._calibrations.get(node_id)
-            values[rows] = contact_values(columns, strain, status[rows], calibration)
-        return values
+            values[rows], doubts[rows] = contact_values(columns, strain, status[rows], calibration)
+        return values, doubts
 
     @cached_property
     def uncertainties(self) -> FloatArray:
