@@ -60,7 +60,7 @@ def _raw(signal: Signal) -> tuple[int, int, int, int | None, int]:
     return signal.start_bit, mask, signal.signed * (mask + 1 >> 1), signal.unknown, divisor_of(signal) or 1
 
 
-class Samples:
+class JoinedSamples:
     """n samples in the order in which they were joined; whatever is computed of them is when it is first read."""
 
     def __init__(
@@ -233,10 +233,10 @@ class Rows:
 
     def samples(
         self, calibrations: Sequence[Calibration | None], gauges: int = 0, calibrated: bool = False
-    ) -> Samples:  # fmt: skip
-        """Return the m x k samples, row by row; ``calibrations`` (k,); see ``Samples``."""
+    ) -> JoinedSamples:  # fmt: skip
+        """Return the m x k samples, row by row; ``calibrations`` (k,); see ``JoinedSamples``."""
         node_ids = self._node_ids
-        return Samples(
+        return JoinedSamples(
             np.repeat(self.sync_ns, len(node_ids)), np.tile(np.array(node_ids, dtype=np.uint8), len(self)),
             self.counter.ravel(), {name: column.ravel() for name, column in self.columns.items()},
             self.reason.ravel(), gauges, dict(zip(node_ids, calibrations, strict=True)), node_ids, calibrated,

@@ -24,7 +24,7 @@ from tipforce.host.decoding.log import read_log
 from tipforce.host.decoding.sample_table import Table, computed, flag
 from tipforce.samples import reasons
 from tipforce.samples.reasons import Status
-from tipforce.samples.record import Samples
+from tipforce.samples.record import JoinedSamples
 from tipforce.scene import beam_calibration
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.estimate import force_vector
@@ -231,7 +231,7 @@ def test_live_samples_from_gauges_say_what_the_estimate_doubts() -> None:
     calibration = replace(calibration, calibrated_force_newtons=1.0)
     columns = {f"SG{gauge + 1}": column for gauge, column in enumerate(microstrain.T)}
     columns |= {name: np.ones(30, np.bool_) for name in ("calibrated", "contact")}
-    samples = Samples(t_ns, np.full(30, 5, np.uint8), np.arange(30), columns, calibrations={5: calibration})
+    samples = JoinedSamples(t_ns, np.full(30, 5, np.uint8), np.arange(30), columns, calibrations={5: calibration})
     assert np.isfinite(samples.contact).all()
     assert (samples.status & np.uint16(Status.BEYOND_CALIBRATED) != 0).all()
     assert "beyond the calibrated force" in reasons.doubts(int(samples.status[0]))

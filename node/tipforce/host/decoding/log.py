@@ -26,7 +26,7 @@ from tipforce.host.decoding.sample_table import NO_FLAG, NO_INTEGER, NODE_BITS, 
 from tipforce.host.logs.notes import no_frame
 from tipforce.samples import reasons
 from tipforce.samples.reasons import Status
-from tipforce.samples.record import Samples
+from tipforce.samples.record import JoinedSamples
 
 if TYPE_CHECKING:
     import pandas
@@ -231,7 +231,7 @@ def _node_log(node_id: int, tables: list[Table], n: int, given: Mapping[int | No
     unknown = np.full(len(t_ns), np.nan)
     columns = {f"SG{gauge + 1}": unknown for gauge in range(n)} | columns
     calibration = given.get(node_id, given.get(None))
-    samples = Samples(
+    samples = JoinedSamples(
         t_ns, np.full(len(t_ns), node_id, dtype=np.uint8), counter, columns, gauges=n,
         calibrations={node_id: calibration}, fingers=(node_id,),
     )  # fmt: skip
