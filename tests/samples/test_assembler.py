@@ -15,7 +15,7 @@ from tipforce.dictionary.signals import tpdo_messages
 from tipforce.host import FRAME, frame_array
 from tipforce.samples.assembler import Assembler
 from tipforce.samples.reasons import Status
-from tipforce.samples.record import Samples
+from tipforce.samples.record import JoinedSamples
 
 NODES = (1, 2)
 PDOS = {m.cob_id_base + n: (n, m) for m in tpdo_messages(3) for n in NODES if m.cob_id_base}
@@ -42,7 +42,7 @@ def sequence(seed: int, latches: int = 60) -> Frames:
     return frames
 
 
-def cut(frames: Frames, seed: int) -> list[Samples]:
+def cut(frames: Frames, seed: int) -> list[JoinedSamples]:
     """The samples of frames in random parts."""
     pick, assembler, at, parts = random.Random(seed), Assembler(PDOS), 0, []
     while at < len(frames):

@@ -21,7 +21,7 @@ from tipforce.host.frames.frame_array import FrameArray
 from tipforce.samples import reasons
 from tipforce.samples.columns import Block
 from tipforce.samples.reasons import Status
-from tipforce.samples.record import Samples
+from tipforce.samples.record import JoinedSamples
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce_robots.ros2 import bridge, cdr
 from tipforce_robots.ros2.bridge import Tip
@@ -163,7 +163,7 @@ def samples_of(table: Table) -> tuple[Block, npt.NDArray[np.int64]]:
     unknown = np.full(len(part), np.nan)
     if "P" in columns:  # the contact is what was sent or computed
         columns = {"phi": unknown, "theta": unknown} | columns
-    samples = Samples(part.t_ns, part.node, part.counter, columns)
+    samples = JoinedSamples(part.t_ns, part.node, part.counter, columns)
     u = np.stack([columns.get(f"u_{name}", unknown) for name in ("P", "phi", "theta")], axis=-1)
     return Block(part.t_ns, samples.contact, u, samples.gauges, samples.status), part.counter
 

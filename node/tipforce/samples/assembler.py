@@ -12,7 +12,7 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.health import NAMES, Health
 from tipforce.host.decoding.sample_rule import SampleRule, follows_sync
 from tipforce.host.frames.frame_array import FIELDS, FrameArray
-from tipforce.samples.record import Column, Pdo, Samples
+from tipforce.samples.record import Column, JoinedSamples, Pdo
 
 
 class _Sample:
@@ -47,7 +47,7 @@ class Assembler:
         }
         """By identifier of an EMCY or a heartbeat: the node-id and the base."""
 
-    def feed(self, frames: FrameArray, now_ns: int | None = None) -> Samples:
+    def feed(self, frames: FrameArray, now_ns: int | None = None) -> JoinedSamples:
         """Process frames, FRAME (n,), in the order of the bus; return the samples that are complete, often none.
         ``now_ns``: the time on their clock, after which an incomplete sample is old; None: that of the last frame."""
         last_ns = None
@@ -66,7 +66,7 @@ class Assembler:
                     self._end(sample)
         return self._take()
 
-    def finish(self) -> Samples:
+    def finish(self) -> JoinedSamples:
         """Return the samples that more PDOs could have joined."""
         for sample in self._latest.values():
             self._end(sample)
@@ -106,12 +106,12 @@ class Assembler:
         node_id, base = self.services[can_id]
         self._health.service(node_id, t_ns, base, data)
 
-    def _take(self) -> Samples:
+    def _take(self) -> JoinedSamples:
         samples, self._complete = self._complete, []
         columns = _columns(samples)
         faults = np.array([sample.faults for sample in samples], dtype=np.int64)
         columns |= {name: faults >> bit & 1 for name, bit in NAMES.items()}
-        return Samples(
+        return JoinedSamples(
             np.array([sample.time_ns for sample in samples], dtype=np.int64),
             np.array([sample.node_id for sample in samples], dtype=np.uint8),
             np.array([sample.counter for sample in samples], dtype=np.int64),

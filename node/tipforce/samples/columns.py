@@ -17,6 +17,7 @@ from tipforce.sensor.contact import estimate, scalar
 from tipforce.sensor.contact.estimate import force_vector
 
 RealArray = npt.NDArray[np.floating[Any]]
+_DOUBTS = np.uint16(sum(reasons.COMPUTED.values()) & ~Status.CONTACT)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,15 +71,16 @@ def contact_values(
     strain: FloatArray,
     status: npt.NDArray[np.uint16],
     calibration: Calibration | None,
-) -> FloatArray:
-    """P in newtons, phi and theta in degrees, (k, 3), of k samples of one finger; NaN where unknown.
+) -> tuple[FloatArray, npt.NDArray[np.uint16]]:
+    """P in newtons, phi and theta in degrees, (k, 3), of k samples of one finger, NaN where unknown; doubts, (k,).
 
     As the node sent them where ``columns`` has P, phi and theta; else from F1, F2, F3; else from ``strain`` (k, n),
     strain, and the calibration, without the gauges that the node left out. What ``status`` (k,) makes unknown is NaN as
-    on the node (scalar.unknown).
+    on the node (scalar.unknown). The doubts are bits of ``Status`` that an estimate from the gauges adds.
     """
+    none = np.zeros(len(status), dtype=np.uint16)
     if columns.keys() >= {"P", "phi", "theta"}:
-        return np.stack([columns[name] for name in ("P", "phi", "theta")], axis=-1).astype(np.float64)
+        return np.stack([columns[name] for name in ("P", "phi", "theta")], axis=-1).astype(np.float64), none
     pull = calibration is not None and calibration.pull
     if columns.keys() >= {"F1", "F2", "F3"}:
         F = np.stack([columns[name] for name in ("F1", "F2", "F3")], axis=-1)
@@ -87,7 +89,9 @@ def contact_values(
         return _estimated(columns, strain, status, calibration)
     else:  # a mapping may have P alone
         unknown = np.full(len(status), np.nan)
-        return np.stack([columns.get(name, unknown) for name in ("P", "phi", "theta")], axis=-1).astype(np.float64)
+        return np.stack([columns.get(name, unknown) for name in ("P", "phi", "theta")], axis=-1).astype(
+            np.float64
+        ), none
     values = np.stack([contact.P_newtons, np.degrees(contact.phi_rad), np.degrees(contact.theta_rad)], axis=-1)
     for value in np.unique(status).tolist():
         lost = 0xFF if value & Status.NO_ANSWER else scalar.unknown(value & 0xFF, columns.keys() >= {"F1", "F2", "F3"})
@@ -95,7 +99,7 @@ def contact_values(
         for k, bit in enumerate((scalar.UNKNOWN_FORCE, scalar.UNKNOWN_PHI, scalar.UNKNOWN_THETA)):
             if lost & bit:
                 values[at, k] = np.nan
-    return values
+    return values, none
 
 
 def _estimated(
@@ -103,18 +107,20 @@ def _estimated(
     strain: FloatArray,
     status: npt.NDArray[np.uint16],
     calibration: Calibration,
-) -> FloatArray:
-    """The values of the gauges, judged here: one that is left out must not count."""
-    from tipforce.host.decoding.contact_columns import of_samples  # its import costs time
+) -> tuple[FloatArray, npt.NDArray[np.uint16]]:
+    """The same from the gauges of a node that is calibrated, judged here: one that is left out must not count."""
+    from tipforce.host.decoding.contact_columns import History, of_samples  # its import costs time
+    from tipforce.host.decoding.estimator import Before, prepared
 
-    values = np.full((len(status), 3), np.nan)
-    hidden = np.uint16(Status.NO_ANSWER | Status.STALE | Status.FAULT)
-    rows = np.flatnonzero((status & hidden == 0) & (status & np.uint16(Status.CALIBRATED) != 0))
-    if len(rows):
-        present = bool(status[rows[0]] & Status.CONTACT)
-        contacts, holds = of_samples(calibration, columns, 1e6 * strain, status, rows, was_present=present)
-        values[rows[holds]] = contacts.values[holds, :3]
-    return values
+    hidden = np.uint16(Status.NO_ANSWER | Status.STALE | Status.FAULT | Status.CALIBRATED)
+    first = status[status & hidden == Status.CALIBRATED][:1]
+    history = History(Before(present=bool((first & Status.CONTACT).any())))
+    readable = np.where(status & Status.CALIBRATED, status, Status.NO_ANSWER).astype(np.uint16)
+    sent = {name: column for name, column in columns.items() if name != "temperature"}  # seldom: not in each block
+    rows, contacts = of_samples(prepared(calibration), sent, 1e6 * strain, readable, history)
+    values, doubts = np.full((len(status), 3), np.nan), np.zeros(len(status), dtype=np.uint16)
+    values[rows], doubts[rows] = contacts.values[:, :3], contacts.status & _DOUBTS
+    return values, doubts
 
 
 def uncertainties(contact: FloatArray, calibrations: Sequence[Calibration | None]) -> FloatArray:

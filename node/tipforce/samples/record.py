@@ -60,7 +60,7 @@ def _raw(signal: Signal) -> tuple[int, int, int, int | None, int]:
     return signal.start_bit, mask, signal.signed * (mask + 1 >> 1), signal.unknown, divisor_of(signal) or 1
 
 
-class Samples:
+class JoinedSamples:
     """n samples in the order in which they were joined; whatever is computed of them is when it is first read."""
 
     def __init__(
@@ -92,7 +92,11 @@ class Samples:
 
     @cached_property
     def status(self) -> npt.NDArray[np.uint16]:
-        """(n,) bits of ``Status``."""
+        """(n,) bits of ``Status``: of the node, and what an estimate from its gauges adds."""
+        return self._sent_status if self._has_contact else self._sent_status | self._found[1]
+
+    @cached_property
+    def _sent_status(self) -> npt.NDArray[np.uint16]:
         missing = self.reason != PRESENT
         return status_of(self.columns, (len(self),)) | np.where(missing, np.uint16(Status.NO_ANSWER), np.uint16(0))
 
@@ -108,15 +112,24 @@ class Samples:
     @cached_property
     def contact(self) -> FloatArray:
         """(n, 3) P in newtons, phi and theta in degrees; NaN where unknown."""
-        if self.columns.keys() >= {"P", "phi", "theta"}:
-            return contact_values(self.columns, self.gauges, self.status, None)
-        status = self.status | self._calibrated
-        values = np.full((len(self), 3), np.nan)
+        return self._found[0]
+
+    @property
+    def _has_contact(self) -> bool:
+        return self.columns.keys() >= {"P", "phi", "theta"}
+
+    @cached_property
+    def _found(self) -> tuple[FloatArray, npt.NDArray[np.uint16]]:
+        """``contact``, and the doubts of it, (n,)."""
+        if self._has_contact:
+            return contact_values(self.columns, self.gauges, self._sent_status, None)
+        status = self._sent_status | self._calibrated
+        values, doubts = np.full((len(self), 3), np.nan), np.zeros(len(self), dtype=np.uint16)
         for node_id, rows in self._by_node.items():
             columns = {name: column[rows] for name, column in self.columns.items()}
             strain, calibration = self.gauges[rows] * 1e-6, self._calibrations.get(node_id)
-            values[rows] = contact_values(columns, strain, status[rows], calibration)
-        return values
+            values[rows], doubts[rows] = contact_values(columns, strain, status[rows], calibration)
+        return values, doubts
 
     @cached_property
     def uncertainties(self) -> FloatArray:
@@ -220,10 +233,10 @@ class Rows:
 
     def samples(
         self, calibrations: Sequence[Calibration | None], gauges: int = 0, calibrated: bool = False
-    ) -> Samples:  # fmt: skip
-        """Return the m x k samples, row by row; ``calibrations`` (k,); see ``Samples``."""
+    ) -> JoinedSamples:  # fmt: skip
+        """Return the m x k samples, row by row; ``calibrations`` (k,); see ``JoinedSamples``."""
         node_ids = self._node_ids
-        return Samples(
+        return JoinedSamples(
             np.repeat(self.sync_ns, len(node_ids)), np.tile(np.array(node_ids, dtype=np.uint8), len(self)),
             self.counter.ravel(), {name: column.ravel() for name, column in self.columns.items()},
             self.reason.ravel(), gauges, dict(zip(node_ids, calibrations, strict=True)), node_ids, calibrated,

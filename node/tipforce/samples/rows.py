@@ -42,7 +42,7 @@ _WORD_MASK = (1 << 64) - 1
 
 
 @dataclass(slots=True)
-class Tally:
+class RowTally:
     """Counts since the start of the rows; arrays have one element per finger."""
 
     node_ids: tuple[int, ...]
@@ -91,7 +91,7 @@ class RowAssembler:
     ) -> None:  # fmt: skip
         known = {m.name: m for m in tpdo_messages(gauges) if m.cob_id_base}
         self.node_ids = tuple(node_ids)
-        self.tally = Tally(self.node_ids)
+        self.tally = RowTally(self.node_ids)
         self.lock = threading.Lock()
         self.shown = [True] * len(self.node_ids)
         """By finger: its values are shown; else they are marked CHANGED."""

@@ -138,10 +138,12 @@ def test_live_values_from_gauges_do_without_the_gauge_that_the_node_left_out(mic
     status = np.array([sample.status()], dtype=np.uint16)
     saturated = np.array([bool(sample.status() & Status.SATURATED)])
     for columns in ({"saturated": saturated}, {"saturated": saturated, "SG4_fault": np.array([1])}):
-        values = contact_values(columns, strain, status, calibration)
+        values, _ = contact_values(columns, strain, status, calibration)
         assert values[0, 0] == pytest.approx(sample.contact()[0], rel=1e-6)
     # A fault that the readings do not show, and that nothing names, is no value.
-    hidden = contact_values({}, strain - calibration.offset_strain, status | np.uint16(Status.SATURATED), calibration)
+    hidden, _ = contact_values(
+        {}, strain - calibration.offset_strain, status | np.uint16(Status.SATURATED), calibration
+    )
     assert np.isnan(hidden).all() == (microstrain == 0.0)
 
 
@@ -174,8 +176,8 @@ def test_a_mapping_may_have_part_of_a_contact() -> None:
     status = np.array([int(Status.CALIBRATED | Status.CONTACT)], dtype=np.uint16)
     for name in ("P", "F1"):
         columns = {name: np.array([1.9])}
-        values = contact_values(columns, strain, status, calibration)
+        values, _ = contact_values(columns, strain, status, calibration)
         assert np.allclose(values, [[2.0, 30.0, 70.0]])
-        values = contact_values(columns, strain, status, None)
+        values, _ = contact_values(columns, strain, status, None)
         assert np.isnan(values[0, 1:]).all()
         assert values[0, 0] == pytest.approx(1.9 if name == "P" else np.nan, nan_ok=True)

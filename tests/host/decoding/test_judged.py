@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,9 +20,14 @@ from tipforce.host.decoding import judged
 from tipforce.host.decoding.contact_columns import ContactColumns
 from tipforce.host.decoding.estimator import Before, Estimator, estimate
 from tipforce.host.decoding.judged import Readings
-from tipforce.host.decoding.sample_table import Table, computed
+from tipforce.host.decoding.log import read_log
+from tipforce.host.decoding.sample_table import Table, computed, flag
+from tipforce.samples import reasons
 from tipforce.samples.reasons import Status
+from tipforce.samples.record import JoinedSamples
+from tipforce.scene import beam_calibration
 from tipforce.sensor.contact import scalar
+from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.contact.scalar_redundancy import chi_square_threshold
 
 NOISE = 5e-7
@@ -159,3 +166,72 @@ def test_four_gauges_isolate_nothing_not_even_a_gauge_that_no_force_moves() -> N
     for row, force in zip(microstrain.tolist(), (True, False), strict=True):
         one = Judgement(active, row, 0, math.nan, False)
         assert (one.force is not None, one.left_out) == (force, 0)
+
+
+def log_table(t_ns: np.ndarray[Any, Any], microstrain: np.ndarray[Any, Any], **others: Any) -> Table:
+    """The table of a node's gauges, sent in the order of ``t_ns``, and of other columns."""
+    k, n = microstrain.shape
+    columns = [computed(f"SG{gauge + 1}", "microstrain", 1) for gauge in range(n)]
+    values = {column.name: microstrain[:, gauge] for gauge, column in enumerate(columns)} | others
+    columns += [computed(name, "") if name == "temperature" else flag(name) for name in others]
+    return Table(
+        t_ns, np.full(k, 5, np.uint16), np.arange(k, dtype=np.int64), np.ones(k, np.bool_), tuple(columns), values
+    )
+
+
+def pushed(k: int, seed: int = 3) -> tuple[Calibration, np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """(calibration, times, microstrain) of a constant push of 2 N with the noise of its gauges."""
+    calibration = beam_calibration("I", pull=True)
+    strain = np.linalg.solve(calibration.C, force_vector(2.0, np.radians(30.0), np.radians(70.0)).ravel())
+    noise = np.random.default_rng(seed).normal(0.0, 0.5, (k, 3))
+    return calibration, np.arange(k, dtype=np.int64) * 1_000_000, np.round(1e6 * strain + noise, 1)
+
+
+@pytest.mark.parametrize("size", [7, 40, 200])
+def test_decode_sees_a_gauge_that_stands_still(size: int) -> None:
+    """Of a node that does not know it, not calibrated: by decode as by a node, after 32 readings, in any blocks."""
+    calibration, t_ns, microstrain = pushed(200)
+    microstrain[50:150, 1] = microstrain[50, 1]
+    blocks = [slice(start, start + size) for start in range(0, 200, size)]
+    tables = [log_table(t_ns[part], microstrain[part]) for part in blocks]
+    P = np.concatenate([found.values["P_N"] for found in ContactColumns({None: calibration}, None).tables(tables)])
+    assert np.flatnonzero(np.isnan(P)).tolist() == list(range(82, 150))
+
+
+def test_the_age_of_the_tare_counts_in_read_log_as_in_decode(tmp_path: Path) -> None:
+    calibration, t_ns, microstrain = pushed(200)
+    calibration = replace(calibration, tare_drift_strain_per_s=1e-4)
+    frames = [row.tobytes().hex() for row in np.rint(10 * microstrain).astype("<i2")]
+    lines = [f"({k / 1000:.6f}) can0 185#{row}03{k:02X}" for k, row in enumerate(frames)]
+    path = tmp_path / "run.log"
+    path.write_text("\n".join(lines) + "\n")
+    (found,) = ContactColumns({None: calibration}, None).tables([log_table(t_ns, microstrain)])
+    log = read_log(path, calibration=calibration)[5]
+    np.testing.assert_allclose(log.u_P_newtons, found.values["u_P_N"], rtol=1e-12)
+    assert log.u_P_newtons[-1] > 2.0 * log.u_P_newtons[0]
+
+
+def test_a_gauge_left_out_is_judged_with_the_temperature() -> None:
+    """The node left one out; without the temperature it would look like a drift of gauge 1 alone, which it is not."""
+    calibration, samples = recorded(8)
+    calibration = replace(
+        calibration, offset_temperature_strain_per_K=np.where(np.arange(8) == 0, 2e-6, 0.0), gain_temperature_per_K=0.0
+    )
+    k = 40
+    microstrain = np.array([s.microstrains for s in samples[:k]])
+    microstrain[:, 0] += 2.0 * 6.0  # what 6 K explain
+    degC = np.full(k, calibration.reference_temperature_degC + 6.0)
+    table = log_table(np.arange(k, dtype=np.int64), microstrain, temperature=degC, saturated=np.ones(k, np.int8))
+    (found,) = ContactColumns({None: calibration}, None).tables([table])
+    assert np.isnan(found.values["P_N"]).all()
+
+
+def test_live_samples_from_gauges_say_what_the_estimate_doubts() -> None:
+    calibration, t_ns, microstrain = pushed(30)
+    calibration = replace(calibration, calibrated_force_newtons=1.0)
+    columns = {f"SG{gauge + 1}": column for gauge, column in enumerate(microstrain.T)}
+    columns |= {name: np.ones(30, np.bool_) for name in ("calibrated", "contact")}
+    samples = JoinedSamples(t_ns, np.full(30, 5, np.uint8), np.arange(30), columns, calibrations={5: calibration})
+    assert np.isfinite(samples.contact).all()
+    assert (samples.status & np.uint16(Status.BEYOND_CALIBRATED) != 0).all()
+    assert "beyond the calibrated force" in reasons.doubts(int(samples.status[0]))

@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import BoolArray, FloatArray
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurements import MODES, Measurements
 from tipforce.host.decoding import judged
-from tipforce.host.decoding.estimator import Before, Contacts, Estimator, estimate
+from tipforce.host.decoding.estimator import FEW, Before, Contacts, Estimator
 from tipforce.host.decoding.health import lost_gauges
-from tipforce.host.decoding.judged import Judge, Readings, frozen_gauges
+from tipforce.host.decoding.judged import Judge, Readings, Still, frozen_gauges
 from tipforce.host.decoding.sample_table import NODE_BITS, Table, Values, computed, flag, in_order, missing_of
 from tipforce.samples import reasons
+from tipforce.samples.columns import status_of
 from tipforce.samples.reasons import Status
 
 NEEDED_FLAGS = ("stale", "fault", "saturated")
 """The node's own word that a gauge reading is none."""
+_NO_READING = np.uint16(Status.NO_ANSWER | Status.STALE | Status.FAULT)
 VALUES = (
     computed("P", "N"), computed("phi", "degree"), computed("theta", "degree"),
     computed("u_P", "N"), computed("u_phi", "degree"), computed("u_theta", "degree"),
@@ -57,9 +59,7 @@ class ContactColumns:
     def __init__(self, calibrations: Mapping[int | None, Calibration], asked: tuple[str, ...] | None) -> None:
         self._estimators = {node: Estimator(calibration) for node, calibration in calibrations.items()}
         self._asked = asked
-        self._before: dict[int, Before] = {}
-        self._first_ns: dict[int, int] = {}
-        self._temperature_degC: dict[int, float] = {}
+        self._history: dict[int, History] = {}
 
     def tables(self, tables: Iterable[Table]) -> Iterator[Table]:
         """Each table with its contact columns."""
@@ -87,60 +87,78 @@ class ContactColumns:
         names = [f"SG{k + 1}_ue" for k in range(estimator.gauges)]
         if not set(names) <= set(table.values):
             return
-        strain = np.stack([table.values[name][rows] for name in names], axis=-1) * 1e-6
-        good = np.isfinite(strain).all(axis=1)
-        for name in NEEDED_FLAGS[:2]:
-            if name in table.values:
-                good &= table.values[name][rows] != 1
-        temperature = self._temperature(key, rows, table)
-        lost = lost_gauges({name: table.values[name][rows] for name in table.values}, strain.shape)
-        if "saturated" in table.values:
-            # A gauge that the node left out and whose reading does not show why: which one, TPDO4 or EMCY told, or
-            # nothing did.
-            by_end = Readings(strain, lost=judged.at_end(1e6 * strain))
-            shown = estimator.judge.judge(by_end, False).faults & judged.GAUGES
-            good &= (table.values["saturated"][rows] != 1) | (lost != 0) | (shown != 0)
-        rows, strain, temperature, lost = rows[good], strain[good], temperature[good], lost[good]
-        if not len(rows):
-            return
-        first_ns = self._first_ns.setdefault(key, int(table.t_ns[rows[0]]))  # a log does not say when the node tared
-        age_s = np.asarray(table.t_ns[rows] - first_ns, dtype=np.float64) * 1e-9
-        given = Readings(strain, temperature, lost | judged.at_end(1e6 * strain), age_s=age_s)
-        contacts, status, self._before[key] = estimator.rows(given, self._before.get(key, Before()))
+        microstrain = np.stack([table.values[name][rows] for name in names], axis=-1)
+        columns = {name: column[rows] for name, column in table.values.items()}
+        history = self._history.setdefault(key, History(still=Still(estimator.judge.calibration)))
+        status = status_of(columns, (len(rows),))
+        held, contacts = of_samples(estimator, columns, microstrain, status, history, table.t_ns[rows])
+        # Of a saturated sample without a force nothing is said but what TPDO4 or EMCY told.
+        told = lost_gauges(columns, microstrain.shape) != 0
+        said = np.isfinite(contacts.P_newtons) | (status & Status.SATURATED == 0)[held] | told[held]
+        at = rows[held[said]]
         for column, column_values in zip(VALUES, contacts.values.T, strict=True):
-            values[column.name][rows] = column_values
+            values[column.name][at] = column_values[said]
         for name, bit in FLAGS.items():
-            values[name][rows] = status & bit != 0
+            values[name][at] = contacts.status[said] & bit != 0
 
-    def _temperature(self, key: int, rows: npt.NDArray[np.intp], table: Table) -> FloatArray:
-        """The temperature of each sample as the node sent it last, degC; NaN before it did."""
-        if "temperature" not in table.values:
-            return np.full(len(rows), self._temperature_degC.get(key, np.nan))
-        found = judged.last_known(table.values["temperature"][rows], self._temperature_degC.get(key, np.nan))
-        if len(found):
-            self._temperature_degC[key] = float(found[-1])
+
+@dataclass(slots=True)
+class History:
+    """What the samples of a node leave for those that follow; ``still``: where they come table by table."""
+
+    before: Before = field(default_factory=Before)
+    still: Still | None = None
+    temperature_degC: float = float("nan")
+    first_ns: int | None = None
+
+    def temperatures(self, columns: Mapping[str, npt.NDArray[Any]], k: int) -> FloatArray | None:
+        """The temperature of k samples as the node sent it last, degC; NaN before it did; None: it never did."""
+        if "temperature" not in columns and np.isnan(self.temperature_degC):
+            return None
+        found = judged.last_known(columns.get("temperature", np.full(k, np.nan)), self.temperature_degC)
+        self.temperature_degC = float(found[-1]) if k else self.temperature_degC
         return found
 
 
 def of_samples(
-    calibration: Calibration,
+    estimator: Estimator,
     columns: Mapping[str, npt.NDArray[Any]],
     microstrain: FloatArray,
     status: npt.NDArray[np.uint16],
-    rows: npt.NDArray[np.intp],
-    temperature_degC: FloatArray | None = None,
-    was_present: bool = False,
-) -> tuple[Contacts, BoolArray]:
-    """Contact of some ``rows`` of a node's samples, and which hold: where the node left a gauge out, it must be known.
+    history: History,
+    t_ns: npt.NDArray[np.int64] | None = None,
+) -> tuple[npt.NDArray[np.intp], Contacts]:
+    """The rows of k samples of a node whose gauges can be read, (m,), and their contacts; history goes on.
 
-    ``columns``, ``microstrain`` (k, n), ``status`` and ``temperature_degC`` (k,) are those of all samples.
+    ``columns`` by name of a signal, ``microstrain`` (k, n), ``status``: as the node sent them; ``t_ns`` gives the age
+    of the tare, which a log does not say, since the first sample. The temperature is the last that was sent. Where the
+    node left a gauge out and neither the reading, TPDO4, EMCY nor the other gauges show which, a sample has no row.
     """
-    missing = lost_gauges(columns, microstrain.shape)[rows] | judged.at_end(microstrain[rows])
-    temperature = None if temperature_degC is None else temperature_degC[rows]
-    contacts = estimate(
-        calibration, microstrain[rows], temperature_degC=temperature, lost=missing, was_present=was_present
-    )
-    return contacts, (status[rows] & np.uint16(Status.SATURATED) == 0) | contacts.has(Status.SATURATED)
+    temperature = history.temperatures(columns, len(status))
+    lost = lost_gauges(columns, microstrain.shape) | judged.at_end(microstrain)
+    rows = np.flatnonzero((status & _NO_READING == 0) & np.isfinite(microstrain).all(axis=1))
+    saturated, calibration = status & np.uint16(Status.SATURATED) != 0, estimator.judge.calibration
+    given, still = Readings(microstrain * 1e-6, temperature, lost), history.still
+    stand = frozen_gauges(calibration, given.strain[rows]) if still is None else still.frozen(given.strain[rows])
+    if stand is not None:
+        frozen = np.zeros(len(status), dtype=np.int64)
+        frozen[rows] = stand
+        given = given._replace(frozen=frozen)
+    if t_ns is not None and len(rows) and calibration.tare_drift_strain_per_s > 0.0:
+        history.first_ns = int(t_ns[rows[0]]) if history.first_ns is None else history.first_ns
+        given = given._replace(age_s=np.asarray(t_ns - history.first_ns, dtype=np.float64) * 1e-9)
+    is_few = still is None and given.age_s is None and len(rows) <= FEW
+    while True:
+        if is_few:
+            degC = np.full(len(status), np.nan) if temperature is None else temperature
+            contacts, before = estimator.few(microstrain[rows], degC[rows], lost[rows], history.before)
+        else:
+            contacts, before = estimator.table(given.part(rows), history.before)
+        holds = ~saturated[rows] | contacts.has(Status.SATURATED | Status.FAULT)
+        if holds.all():
+            history.before = before
+            return rows, contacts
+        rows = rows[holds]
 
 
 def signals_needed(

@@ -181,16 +181,7 @@ class Estimator:
         shape = (len(readings),)
         if len(readings) <= FEW:
             degC = _numbers("temperature_degC", scalar.NAN if temperature_degC is None else temperature_degC, shape)
-            lost, contacts = _numbers("lost", lost, shape), _room(out, shape)
-            columns = [getattr(contacts, name) for name in Contacts.__slots__]
-            for k, one in enumerate(zip(readings.tolist(), degC.tolist(), lost.tolist(), strict=True)):
-                faults, values = self._one(*one, was_present, was_overloaded)
-                for column, value in zip(columns, (*values, _shown(faults)), strict=True):
-                    column[k] = value
-                if not faults & reasons.NO_ESTIMATE:
-                    was_present = bool(faults & scalar.CONTACT_PRESENT)
-                was_overloaded = bool(faults & reasons.OVERLOAD)
-            return contacts
+            return self.few(readings, degC, _numbers("lost", lost, shape), Before(was_present, was_overloaded), out)[0]
         strain = np.where(np.abs(readings) <= LARGEST_MICROSTRAIN, readings, np.nan) * 1e-6
         given = Readings(
             strain,
@@ -198,9 +189,30 @@ class Estimator:
             _numbers("lost", lost, shape),
             judged.frozen_gauges(self._calibration, strain),
         )
-        contacts, status_of_rows, _ = self.rows(given, Before(was_present, was_overloaded), out)
-        contacts.status[:] = _shown_rows(status_of_rows)
-        return contacts
+        return self.table(given, Before(was_present, was_overloaded), out)[0]
+
+    def few(
+        self, microstrain: FloatArray, temperature_degC: FloatArray, lost: IntArray, before: Before,
+        out: Contacts | None = None,
+    ) -> tuple[Contacts, Before]:  # fmt: skip
+        """Return the contacts of up to ``FEW`` readings (k, n), and what the last one leaves for its successor."""
+        contacts, (was_present, was_overloaded) = _room(out, lost.shape), before
+        columns = [getattr(contacts, name) for name in Contacts.__slots__]
+        given = zip(microstrain.tolist(), temperature_degC.tolist(), lost.tolist(), strict=True)
+        for k, reading in enumerate(given):
+            faults, values = self._one(*reading, was_present, was_overloaded)
+            for column, value in zip(columns, (*values, _shown(faults)), strict=True):
+                column[k] = value
+            if not faults & reasons.NO_ESTIMATE:
+                was_present = bool(faults & scalar.CONTACT_PRESENT)
+            was_overloaded = bool(faults & reasons.OVERLOAD)
+        return contacts, Before(was_present, was_overloaded)
+
+    def table(self, given: Readings, before: Before, out: Contacts | None = None) -> tuple[Contacts, Before]:
+        """Return the same of any number of readings, with the status as a node would give it."""
+        contacts, status, after = self.rows(given, before, out)
+        contacts.status[:] = _shown_rows(status)
+        return contacts, after
 
     def rows(self, given: Readings, before: Before, out: Contacts | None = None) -> tuple[Contacts, IntArray, Before]:
         """Return the contacts of readings, their status, and what the last one leaves for its successor.
@@ -365,7 +377,7 @@ def _first_order_holds(P: float, u_P: float, u_phi: float, u_sine: float, cosine
     return bias <= limit and bend <= limit and (not phi_known or u_P / P <= limit)
 
 
-_prepared = lru_cache(maxsize=32)(Estimator)  # of the last calibrations: those of a hand's fingers, row after row
+prepared = lru_cache(maxsize=32)(Estimator)  # of the last calibrations: those of a hand's fingers, row after row
 
 
 def estimate(
@@ -386,7 +398,7 @@ def estimate(
     """
     readings = np.atleast_2d(floats("microstrain", microstrain))
     given = 0 if lost is None else lost
-    contacts: Contacts = _prepared(calibration)(
+    contacts: Contacts = prepared(calibration)(
         readings, temperature_degC=temperature_degC, lost=given, was_present=was_present
     )
     return contacts

@@ -28,6 +28,7 @@ LARGEST_STRAIN = 0.03
 """Largest strain of a gauge where 2112h:2 is not known: foil gauges break at 0.03 to 0.05, and each material of
 ``tipforce_lab.design.other_bodies`` has yielded before. A larger one is an overload. On the wire 0.0033 is the end."""
 _END_MICROSTRAIN = 3276.65  # a gauge at the end of its converter reads 32767 x 0.1 microstrain
+_SOME = FROZEN_READINGS // 2
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 Column = Any  # a number, or an array (m,) of samples
 Rows = Any  # indices (k,) of samples, or a slice
@@ -55,7 +56,7 @@ class Readings(NamedTuple):
     pull: BoolArray | None = None
     """(m,) load sense, in place of the calibration's."""
 
-    def part(self, rows: slice) -> Readings:
+    def part(self, rows: Rows) -> Readings:
         """Some rows."""
         columns: list[Any] = [None if column is None else column[rows] for column in self]
         return Readings(*columns)
@@ -304,6 +305,47 @@ def frozen_gauges(calibration: Calibration, strain: FloatArray, weight: FloatArr
         run = np.concatenate(([0], np.cumsum(~still[:, gauge])))
         bits |= np.where(np.bincount(run)[run] > FROZEN_READINGS, 1 << gauge, 0)
     return bits & ~at_end(1e6 * strain) if bits.any() else None
+
+
+class Still:
+    """How often each gauge of a node has repeated its reading, table after table: frozen as a node finds it."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        self._noise = np.sqrt(np.diagonal(calibration.covariance_strain2))
+        self._last: FloatArray | None = None
+        self._repeats = np.full(len(self._noise), -1)
+        self._resolution = np.inf  # the smallest step so far
+
+    def frozen(self, strain: FloatArray) -> IntArray | None:
+        """Bits of the gauges that stand still, (m,), in the readings (m, n) that follow; None: none does."""
+        if not len(strain):
+            return None
+        k = len(strain) - _SOME
+        if k > 0 and self._resolution <= self._noise.min() and self._repeats.max() < _SOME and not _repeats(strain):
+            self._last, strain = strain[k - 1 : k], strain[k:]  # no gauge can stand still: the rest does not count
+        before = strain[:1] if self._last is None else self._last
+        steps = np.abs(np.diff(strain.T, prepend=before.T))  # (n, m)
+        moved, place = steps > 0.0, np.arange(len(strain))
+        changed = np.maximum.accumulate(np.where(moved, place, -1), axis=1)
+        repeats = place - np.where(changed < 0, -1 - self._repeats[:, np.newaxis], changed)
+        least = np.where(moved, steps, np.inf).min(axis=0)
+        least[0] = min(least[0], self._resolution)
+        resolution = np.minimum.accumulate(least)
+        self._last, self._repeats, self._resolution = strain[-1:], repeats[:, -1], float(resolution[-1])
+        still = repeats >= FROZEN_READINGS
+        if not still.any():
+            return None
+        still &= self._noise[:, np.newaxis] >= resolution * (1.0 - 1e-6)
+        bits: IntArray = (1 << np.arange(len(still))) @ still
+        return bits & ~at_end(1e6 * strain)
+
+
+def _repeats(strain: FloatArray) -> bool:
+    """Whether a gauge has _SOME equal readings in a row."""
+    equal = strain[1:] == strain[:-1]
+    for shift in (1, 2, 4, 7):
+        equal = equal[:-shift] & equal[shift:]
+    return bool(equal.any())
 
 
 def status_before_contact(verdict: Judged, given: Readings) -> IntArray:

@@ -17,9 +17,8 @@ from tipforce.arrays import FloatArray
 from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.decoding import judged
-from tipforce.host.decoding.contact_columns import of_samples
-from tipforce.host.decoding.estimator import Contacts
+from tipforce.host.decoding.contact_columns import History, of_samples
+from tipforce.host.decoding.estimator import Contacts, prepared
 from tipforce.host.decoding.log_part import Reading
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording
@@ -27,7 +26,7 @@ from tipforce.host.decoding.sample_table import NO_FLAG, NO_INTEGER, NODE_BITS, 
 from tipforce.host.logs.notes import no_frame
 from tipforce.samples import reasons
 from tipforce.samples.reasons import Status
-from tipforce.samples.record import Samples
+from tipforce.samples.record import JoinedSamples
 
 if TYPE_CHECKING:
     import pandas
@@ -36,8 +35,6 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 _SHOWN_NODES = 4
 _ARROW_NAMES = {"temperature": "temperature_degC", "u_P": "u_P_N"}
-_NOT_USABLE = np.uint16(Status.STALE | Status.FAULT)
-"""Status bits of a node for an invalid gauge reading."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -234,17 +231,15 @@ def _node_log(node_id: int, tables: list[Table], n: int, given: Mapping[int | No
     unknown = np.full(len(t_ns), np.nan)
     columns = {f"SG{gauge + 1}": unknown for gauge in range(n)} | columns
     calibration = given.get(node_id, given.get(None))
-    samples = Samples(
+    samples = JoinedSamples(
         t_ns, np.full(len(t_ns), node_id, dtype=np.uint8), counter, columns, gauges=n,
         calibrations={node_id: calibration}, fingers=(node_id,),
     )  # fmt: skip
     strain, status = samples.gauges, samples.status
     values = np.concatenate((samples.contact, samples.uncertainties), axis=1)
     if calibration is not None:
-        rows = np.flatnonzero(np.isfinite(strain).all(axis=1) & (status & _NOT_USABLE == 0))
-        temperature = judged.last_known(columns["temperature"]) if "temperature" in columns else None
-        contacts, holds = of_samples(calibration, columns, strain, status, rows, temperature)
-        values[rows[holds]], status[rows[holds]] = contacts.values[holds], contacts.status[holds]
+        rows, contacts = of_samples(prepared(calibration), columns, strain, status, History(), t_ns)
+        values[rows], status[rows] = contacts.values, contacts.status
     spared = (status & np.uint16(Status.SATURATED) != 0) & np.isfinite(values[:, 0])
     status |= np.where(spared, np.uint16(Status.LEFT_OUT), np.uint16(0))  # the gauges left give the force
     forces = ("F1", "F2", "F3")

@@ -36,7 +36,7 @@ from tipforce.host.hand.trust import COUNTER
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
 from tipforce.samples.record import RowContacts, Rows
-from tipforce.samples.rows import Tally
+from tipforce.samples.rows import RowTally
 from tipforce.samples.sync_numbers import LARGEST
 
 HEARTBEATS_MISSED = 2.5  # heartbeat time-out in periods
@@ -54,7 +54,7 @@ _LOST_PROBE_S = 1.0  # interval of LSS searches for a lost finger
 class Statistics:
     """Counts of a hand since ``start``."""
 
-    tally: Tally
+    tally: RowTally
     sync: JitterFigures
     dropped: int
     """Frames that the kernel or the buffer dropped."""
