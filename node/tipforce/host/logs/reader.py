@@ -142,12 +142,13 @@ def _text_blocks(lines: LineBlocks, notes: LogNotes, deltas: bool) -> Iterator[F
     error: InputError | None = None
     try:
         for text, begin, end in lines:
-            yield from parser.gather(text, begin, end)
-            if lines.live or parser.count >= _BLOCK_FRAMES:
-                yield parser.take()
+            for block in parser.gather(text, begin, end):
+                yield block.frames
+            if lines.live or parser.count + len(parser.fd) >= _BLOCK_FRAMES:
+                yield parser.take().frames
     except InputError as bad:  # strict: return the frames before it first
         error = bad
-    yield parser.take()
+    yield parser.take().frames
     if error is not None:
         raise error
 
