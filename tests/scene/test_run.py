@@ -11,13 +11,13 @@ from msgspec.structs import replace
 
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration, write_calibration
-from tipforce.host.logs.candump import CandumpParser
 from tipforce.scene.reader import read_scene
 from tipforce.scene.registry import bus_load, identifiers
 from tipforce.scene.run import Outcome, run_scene
 from tipforce.scene.schema import Outputs, Scene
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix
+from tools.blocks import block_of_text
 
 SCENES = Path(__file__).parents[2] / "scenes"
 
@@ -59,7 +59,7 @@ def test_no_random_number_is_drawn_without_noise(monkeypatch: pytest.MonkeyPatch
 def test_the_log_is_what_was_decoded_and_opens_in_python_can(tmp_path: Path) -> None:
     path = tmp_path / "run.log"
     outcome = run(read_scene(SCENES / "grasp.toml"), 0.5, path)
-    block = CandumpParser(strict=True).parse(path.read_text().splitlines())
+    block = block_of_text(path.read_text())
     ids, counts = np.unique(block.frames["can_id"], return_counts=True)
     assert dict(zip(ids.tolist(), counts.tolist(), strict=True)) == outcome.frames_by_id
     with can.LogReader(path) as reader:

@@ -17,6 +17,7 @@ from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.logs.candump import CandumpParser
 from tipforce.host.logs.candump_format import CandumpFormat
 from tipforce.sensor.contact import scalar
+from tools.blocks import block_of_text
 
 _GAUGES_COB_ID, _HEARTBEAT_COB_ID = codes.TPDO_BASES[0] + rig.NODE_ID, codes.HEARTBEAT_BASE + rig.NODE_ID
 _DAY_MS = 86_400_000
@@ -129,7 +130,7 @@ def clock_log_2038() -> Observed:
     read again are equal"""
     stamps = ["2147483647.999999", "2147483648.000000", "4294967296.000001", "9223372035.854775"]
     lines = [f"({stamp}) can0 185#0102030405060708" for stamp in stamps]
-    block = CandumpParser(strict=True).parse(lines)
+    block = block_of_text("\n".join(lines))
     right = [int(stamp.replace(".", "")) * 1000 for stamp in stamps]
     again = CandumpFormat("a", log=True).lines(block)
     held = block.frames["t_ns"].tolist() == right and again == lines
@@ -143,7 +144,7 @@ def clock_log_beyond() -> Observed:
            "2147483648"]  # fmt: skip
     parser = CandumpParser()
     lines = [f"({stamp}) can0 185#01" for stamp in ["1.000000", *bad, "2.000000"]]
-    block = parser.parse(lines)
+    block = block_of_text("\n".join(lines), parser)
     numbers = [number for number, line in enumerate(lines, 1) if CandumpParser().frame(line) is None]
     counts = parser.notes.bad
     held = block.frames["t_ns"].tolist() == [10**9, 2 * 10**9] and counts == {"timestamp": len(bad)}

@@ -26,9 +26,11 @@ MIXED: tuple[tuple[int, str | int], ...] = (
 """(identifier, kind) of each line; the kind of a CAN FD frame is its flags."""
 
 
-def block_of_text(text: str) -> CandumpBlock:
-    """The frames of candump's text."""
-    return CandumpParser(strict=True).parse(text.splitlines())
+def block_of_text(text: str, parser: CandumpParser | None = None) -> CandumpBlock:
+    """The frames of candump's text, of less than a full block; by default no line may be bad."""
+    parser, content = parser or CandumpParser(strict=True), bytearray(text.encode())
+    assert not [*parser.gather(content, 0, len(content))]
+    return parser.take()
 
 
 def written(path: Path, text: str = MIXED_LOG) -> Path:

@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
-from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import RawFrame, frame_array
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump import BadLineError, CandumpParser, text_blocks
 from tipforce.host.logs.candump_format import CandumpFormat, error_text, identifier_text
 from tipforce.host.logs.notes import EXPECTED, BadLine
+from tools.blocks import block_of_text
 
 STANDARD = st.integers(0, 0x7FF)
 EXTENDED = st.integers(0, 0x1FFFFFFF).map(lambda number: number | EXTENDED_FLAG)
@@ -38,8 +38,7 @@ def block_of(rows: list[tuple[RawFrame, str]]) -> CandumpBlock:
 @given(rows=ROWS, log=st.booleans(), extra=st.booleans(), timestamps=st.sampled_from(["", "a"]))
 def test_what_is_written_reads_back(rows: list[tuple[RawFrame, str]], log: bool, extra: bool, timestamps: str) -> None:
     block = block_of(rows)
-    parser = CandumpParser(strict=True)
-    back = parser.parse(CandumpFormat(timestamps, log=log, extra=extra).lines(block))
+    back = block_of_text("\n".join(CandumpFormat(timestamps, log=log, extra=extra).lines(block)))
     for field in ("can_id", "length", "data"):
         np.testing.assert_array_equal(back.frames[field], block.frames[field])
     assert [back.names[k] for k in back.frames["channel"]] == [name for _, name in rows]
@@ -79,19 +78,18 @@ BAD = [
 @pytest.mark.parametrize(("line", "reason"), BAD)
 def test_a_bad_line_is_counted_and_strict_says_where_what_and_what_was_expected(line: str, reason: str) -> None:
     good = "(1700000000.123456) vcan0 181#0102\n"
-    parser = CandumpParser()
-    assert len(parser.parse([good, line + "\n", good]).frames) == 2
+    parser, strict = CandumpParser(), CandumpParser(strict=True)
+    assert len(block_of_text(f"{good}{line}\n{good}", parser).frames) == 2
     assert (parser.notes.bad, parser.notes.first_bad_line) == ({reason: 1}, BadLine(2, line, reason))
-    with pytest.raises(InputError) as caught:
-        CandumpParser(strict=True).parse([good, line + "\n", good])
+    with pytest.raises(BadLineError) as caught:
+        block_of_text(f"{good}{line}\n{good}", strict)
     assert str(caught.value) == parser.notes.first_bad == f"line 2: {line!r}: {reason}: {EXPECTED[reason]}"
-    assert isinstance(caught.value, BadLineError)
-    assert len(caught.value.block.frames) == 1
+    assert len(strict.take().frames) == 1
 
 
 def test_many_bad_lines_are_counted_and_the_first_is_shortened() -> None:
     parser = CandumpParser()
-    parser.parse(f"bad {k}" * 200 for k in range(1000))
+    block_of_text("\n".join(f"bad {k}" * 200 for k in range(1000)), parser)
     assert parser.notes.bad == {"not a candump line": 1000}
     assert len(parser.notes.first_bad or "") < 300
 
@@ -107,7 +105,7 @@ def test_what_is_no_classic_frame_is_counted() -> None:
         "\tcontroller-problem{rx-error-warning}",
         "",
     ]
-    assert len(parser.parse(lines).frames) == 0
+    assert len(block_of_text("\n".join(lines), parser).frames) == 0
     assert (parser.notes.skipped, parser.notes.bad) == ({"CAN FD frame": 3, "frame dropped by candump": 8}, {})
 
 
@@ -115,10 +113,10 @@ def test_other_writers_of_the_log_format() -> None:
     lines = [
         "(1700000000.123456789) can0 123#00.11.22",  # nanoseconds; the separators that cansend takes
         "(1700000000.123456) can0 123#1122334455667788_E",  # the raw DLC of can-utils' -8
-        "(1700000000.123456) can0 123#aabb R\r\n",  # python-can
+        "(1700000000.123456) can0 123#aabb R\r",  # python-can
         "(0000000000.000001) can0 123#r",
     ]
-    block = CandumpParser(strict=True).parse(lines)
+    block = block_of_text("\n".join(lines))
     assert block.frames["t_ns"].tolist()[0] == 1700000000_123456789
     assert block.frames["length"].tolist() == [3, 8, 2, 0]
     assert block.frames["data"][2].tolist() == [0xAA, 0xBB, 0, 0, 0, 0, 0, 0]
@@ -127,7 +125,7 @@ def test_other_writers_of_the_log_format() -> None:
 
 def test_too_many_interfaces_are_refused() -> None:
     parser = CandumpParser()
-    block = parser.parse(f"(1700000000.123456) name{k} 123#" for k in range(5000))
+    block = block_of_text("\n".join(f"(1700000000.123456) name{k} 123#" for k in range(5000)), parser)
     assert (len(block.names), parser.notes.bad) == (256, {"interface": 4744})
 
 

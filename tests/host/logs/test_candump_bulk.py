@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from canopen_device.core.codes import EXTENDED_FLAG
 from tipforce.core import core
 from tipforce.host.frames.frame_array import FRAME, FrameArray
-from tipforce.host.frames.frame_block import CandumpBlock
+from tipforce.host.frames.frame_block import CandumpBlock, FdFrame
 from tipforce.host.logs.candump import BadLineError, CandumpParser
 from tipforce.host.logs.candump_format import CandumpFormat
 from tipforce.host.logs.notes import LogNotes
@@ -36,15 +36,20 @@ def _answer(frames: FrameArray, timed: bool, parser: CandumpParser, error: str) 
 
 def line_by_line(text: bytes, *, strict: bool = False, deltas: bool = False) -> Answer:
     """What the line parser says."""
-    lines, error = text.split(b"\n"), ""
-    if not lines[-1]:
-        lines.pop()
+    frames, timed, error = bytearray(), True, ""
     parser = CandumpParser(strict=strict, deltas=deltas)
-    try:
-        block = parser.parse([line.decode("utf-8", "replace") for line in lines])
-    except BadLineError as caught:
-        block, error = caught.block, str(caught)
-    return _answer(block.frames, block.timed, parser, error)
+    for line in text.removesuffix(b"\n").split(b"\n") if text else ():
+        try:
+            frame = parser.frame(line.decode("utf-8", "replace"))
+        except BadLineError as caught:
+            error = str(caught)
+            break
+        if isinstance(frame, FdFrame):
+            timed &= frame.t_ns >= 0
+        elif frame is not None:
+            frames += frame[0]
+            timed &= frame[1]
+    return _answer(np.frombuffer(frames, FRAME), timed, parser, error)
 
 
 def in_bulk(blocks: list[bytes], *, strict: bool = False, deltas: bool = False) -> Answer:
@@ -55,11 +60,11 @@ def in_bulk(blocks: list[bytes], *, strict: bool = False, deltas: bool = False) 
         around = b"9999999#" * 32
         text = bytearray(around + block + around)
         try:
-            frames += parser.gather(text, len(around), len(around) + len(block))
+            frames += [full.frames for full in parser.gather(text, len(around), len(around) + len(block))]
         except BadLineError as caught:
             error = str(caught)
             break
-    return _answer(np.concatenate([*frames, parser.take()]), parser.notes.timed, parser, error)
+    return _answer(np.concatenate([*frames, parser.take().frames]), parser.notes.timed, parser, error)
 
 
 needs_core = pytest.mark.skipif(core is None, reason="needs the compiled core")

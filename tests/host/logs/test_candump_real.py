@@ -10,6 +10,7 @@ import pytest
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump import CandumpParser
 from tipforce.host.logs.candump_format import CandumpFormat
+from tools.blocks import block_of_text
 
 LOG = """\
 (1795254996.104918) vcan0 285#2E1129239A110303
@@ -148,7 +149,7 @@ COLOUR = """\
 
 
 def parsed(text: str, *, deltas: bool = False) -> CandumpBlock:
-    return CandumpParser(strict=True, deltas=deltas).parse(text.splitlines())
+    return block_of_text(text, CandumpParser(strict=True, deltas=deltas))
 
 
 def formatted(block: CandumpBlock, timestamps: str = "", *, log: bool = False, errors: bool = False) -> str:

@@ -79,10 +79,7 @@ def options_of(reading: Reading, hand: str | None) -> str:
     """Return what the rows of a log depend on besides its bytes."""
     layouts = reading.layouts
     words = [f"gauges {layouts.gauges}"]
-    origin = reading.origin_ns or 0
-    start, end = (
-        limit and f"{limit.ns + (origin if limit.relative else 0)} ns" for limit in (reading.start, reading.end)
-    )
+    start, end = ("" if ns is None else f"{ns} ns" for ns in reading.limits(reading.origin_ns or 0))
     given = (
         ("nodes", layouts.nodes), ("signals", reading.signals), ("buses", reading.buses), ("hand", hand),
         ("from", start), ("to", end), ("deltas", reading.deltas), ("dbc", layouts.dbc), ("eds", layouts.eds),

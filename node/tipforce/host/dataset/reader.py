@@ -107,11 +107,8 @@ def tables(name: str, reading: Reading) -> Iterator[Table]:
     Only those that ``reading`` selects.
     """
     store, manifest = opened(name)
-    origin = reading.origin_ns or first_ns(manifest) or 0
-    start, end = (
-        otherwise if when is None else when.ns + (origin if when.relative else 0)
-        for when, otherwise in ((reading.start, -_FOREVER), (reading.end, _FOREVER))
-    )
+    start, end = reading.limits(reading.origin_ns or first_ns(manifest) or 0)
+    limits = -_FOREVER if start is None else start, _FOREVER if end is None else end
     wanted = [column for column in manifest.columns if reading.signals is None or column.signal in reading.signals]
     channels: list[str] = []
     written: dict[str, list[DataFile]] = {}  # files of one name are of the same parts
@@ -119,7 +116,7 @@ def tables(name: str, reading: Reading) -> Iterator[Table]:
         written.setdefault(file.path.rpartition("/")[2], []).append(file)
     for files in sorted(written.values(), key=lambda some: min(file.first_ns for file in some)):
         with damage_named(store, *(file.path for file in files)):
-            table = _read_table(store, files, reading, wanted, channels, (start, end))
+            table = _read_table(store, files, reading, wanted, channels, limits)
         if table is not None and len(table):
             yield table
 

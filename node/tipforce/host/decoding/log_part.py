@@ -16,7 +16,7 @@ from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.lines import never
 from tipforce.host.logs.notes import BadLine
-from tipforce.host.logs.reader import LogReader
+from tipforce.host.logs.reader import LogReader, within
 
 
 class StrictError(InputError):
@@ -66,6 +66,10 @@ class Reading:
         """Return a separate decoder for each bus whose layouts may change; otherwise all have one."""
         made = self.layouts.decoder if self.layouts.eds else partial(_decoder, self.layouts)
         return made(services=joins(self.signals))
+
+    def limits(self, origin_ns: int) -> list[int | None]:
+        """Return ``start`` and ``end`` in nanoseconds of the epoch; ``origin_ns``: time of the first frame."""
+        return [limit and limit.ns + (origin_ns if limit.relative else 0) for limit in (self.start, self.end)]
 
     @property
     def wanted(self) -> tuple[str, ...] | None:
@@ -124,20 +128,12 @@ class Source(LogReader):
     def _chosen(self, block: FrameArray) -> FrameArray:
         reading = self._reading
         if reading.start is not None or reading.end is not None:
-            block = self._in_time(block, reading.start, reading.end)
+            if not self.timed:
+                raise InputError(f"{self.source}: the log has no timestamps, so --from and --to are not possible")
+            if self._origin is None:
+                self._origin = int(block["t_ns"][0])
+            block = within(block, *reading.limits(self._origin))
         if reading.buses is not None:
             wanted = np.array([name in reading.buses for name in self.channels] or [False])
             block = block.compress(wanted[block["channel"]])
         return block
-
-    def _in_time(self, block: FrameArray, start: When | None, end: When | None) -> FrameArray:
-        if not self.timed:
-            raise InputError(f"{self.source}: the log has no timestamps, so --from and --to are not possible")
-        if self._origin is None:
-            self._origin = int(block["t_ns"][0])
-        keep = np.ones(len(block), dtype=np.bool_)
-        if start is not None:
-            keep &= block["t_ns"] >= start.ns + (self._origin if start.relative else 0)
-        if end is not None:
-            keep &= block["t_ns"] < end.ns + (self._origin if end.relative else 0)
-        return block.compress(keep)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -39,15 +39,11 @@ _COLOUR = r"\x1b\[[0-9;]*m"
 
 
 class BadLineError(InputError):
-    """The first bad line of a text that is read strictly; ``block`` holds the frames of the lines before it."""
-
-    def __init__(self, bad: BadLine) -> None:
-        super().__init__(str(bad))
-        self.block = _block(b"", (), True, ())
+    """The first bad line of a text that is read strictly."""
 
 
 class CandumpParser:
-    """Convert lines to frames, one by one or in bulk; ``notes`` get all else that they tell."""
+    """Convert lines to frames, in bulk where they are plain; ``notes`` get all else that they tell."""
 
     def __init__(self, notes: LogNotes | None = None, *, strict: bool = False, deltas: bool = False) -> None:
         """``deltas``: the timestamps are those of -td, each the time since the previous line.
@@ -56,36 +52,16 @@ class CandumpParser:
         """
         self.notes = LogNotes(strict) if notes is None else notes
         self.count = 0
-        """Frames gathered by ``gather`` since the last ``take``."""
+        """Classic frames since the last ``take``."""
+        self.fd: list[FdFrame] = []
+        """CAN FD frames since then."""
+        self._timed = True
         self._deltas = deltas
         self._last_ns = 0
         self._numbers: dict[str, int] = {}
         self._spaced = b""  # the names, each followed by a space
         self._dates: dict[str, int] = {}
         self._room = bytearray()
-
-    def parse(self, lines: Iterable[str]) -> CandumpBlock:
-        """Return the frames of some lines, with or without line ends; line numbers continue from call to call."""
-        frames = bytearray()
-        fd: list[FdFrame] = []
-        timed, error = True, None
-        for line in lines:
-            try:
-                frame = self.frame(line)
-            except BadLineError as bad:
-                error = bad
-                break
-            if isinstance(frame, FdFrame):
-                timed = timed and frame.t_ns >= 0
-                fd.append(frame._replace(row=len(frames) // FRAME.itemsize, t_ns=max(frame.t_ns, 0)))
-            elif frame is not None:
-                frames += frame[0]
-                timed = timed and frame[1]
-        block = _block(frames, tuple(self._numbers), timed, tuple(fd))
-        if error is not None:
-            error.block = block
-            raise error
-        return block
 
     def frame(self, line: str) -> tuple[bytes, bool] | FdFrame | None:
         """Return the content of the next line: (bytes of a FRAME, whether it is timed), a CAN FD frame, or no frame.
@@ -101,7 +77,7 @@ class CandumpParser:
             if notes.strict or notes.first_bad is None:
                 notes.first_bad_line = bad
             if notes.strict:
-                raise BadLineError(bad) from None
+                raise BadLineError(str(bad)) from None
             notes.note_bad(bad.reason, str(bad))
             return None
 
@@ -171,8 +147,8 @@ class CandumpParser:
             self._spaced += name.encode("utf-8", "surrogatepass") + b" "
         return number
 
-    def gather(self, text: bytearray, begin: int, end: int) -> Iterator[FrameArray]:
-        """Read the whole lines ``text[begin:end]``, and yield blocks that are full; CAN FD frames are left out.
+    def gather(self, text: bytearray, begin: int, end: int) -> Iterator[CandumpBlock]:
+        """Read the whole lines ``text[begin:end]``, and yield blocks that are full.
 
         Raises BadLineError if strict; ``take`` returns the frames before the bad line.
         """
@@ -188,11 +164,12 @@ class CandumpParser:
             frame = self.frame(text[begin:line_end].decode("utf-8", "replace"))
             begin = line_end + 1
             if isinstance(frame, FdFrame):
-                self.notes.timed &= frame.t_ns >= 0
+                self._timed &= frame.t_ns >= 0
+                self.fd.append(frame._replace(row=self.count, t_ns=max(frame.t_ns, 0)))
             elif frame is not None:
                 place = self.count * FRAME.itemsize
                 self._room[place : place + FRAME.itemsize], timed = frame
-                self.notes.timed &= timed
+                self._timed &= timed
                 self.count += 1
 
     def _plain(self, text: bytearray, begin: int, end: int) -> int:
@@ -207,14 +184,16 @@ class CandumpParser:
             text, begin, end, self._room, self.count, self._spaced, self._last_ns, self._deltas, date.encode(), seconds
         )
         self.notes.lines += lines
-        self.notes.timed &= timed != 0
+        self._timed &= timed != 0
         return place
 
-    def take(self) -> FrameArray:
+    def take(self) -> CandumpBlock:
         """Return the gathered frames."""
         frames: FrameArray = np.frombuffer(self._room, dtype=FRAME, count=self.count)
-        self._room, self.count = bytearray(), 0
-        return frames
+        block = CandumpBlock(frames, tuple(self._numbers), self._timed, tuple(self.fd))
+        self.notes.timed &= self._timed
+        self._room, self.count, self.fd, self._timed = bytearray(), 0, [], True
+        return block
 
 
 def text_blocks(read: Callable[[int], bytes | None], parser: CandumpParser) -> Iterator[CandumpBlock]:
@@ -226,19 +205,17 @@ def text_blocks(read: Callable[[int], bytes | None], parser: CandumpParser) -> I
     while not ended:
         chunk = read(_CHUNK_BYTES) or b""
         ended = not chunk
-        *lines, rest = (rest + chunk).split(b"\n")
-        if rest and (ended or len(rest) > _CHUNK_BYTES):  # the last line, or no text
-            lines, rest = [*lines, rest], b""
+        text = bytearray(rest + chunk)
+        end = text.rfind(b"\n") + 1
+        if ended or len(text) - end > _CHUNK_BYTES:  # the last line, or no text
+            end = len(text)
+        rest = bytes(text[end:])
         try:
-            yield parser.parse([line.decode("utf-8", "replace") for line in lines])
-        except BadLineError as error:
-            yield error.block
+            yield from parser.gather(text, 0, end)
+        except BadLineError:
+            yield parser.take()
             raise
-
-
-def _block(frames: bytes | bytearray, names: tuple[str, ...], timed: bool, fd: tuple[FdFrame, ...]) -> CandumpBlock:
-    array: FrameArray = np.frombuffer(frames, dtype=FRAME)
-    return CandumpBlock(array, names, timed, fd)
+        yield parser.take()
 
 
 def _identifier(text: str) -> int:

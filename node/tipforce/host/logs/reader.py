@@ -78,19 +78,17 @@ class LogReader(LogNotes):
         """Yield blocks of frames with start_ns <= t_ns < end_ns, none empty. Raises InputError as ``__init__`` says."""
         try:
             for block in self._blocks:
-                frames = block if self._limits == (None, None) else self._within_limits(block)
+                frames = block
+                if self._limits != (None, None):
+                    if not self.timed:
+                        raise InputError("the log has no timestamps, so frames cannot be selected by time")
+                    frames = within(block, *self._limits)
                 if len(frames):
                     self.count_special(frames)
                     self.frames += len(frames)
                     yield frames
         finally:
             self.close()
-
-    def _within_limits(self, frames: FrameArray) -> FrameArray:
-        if not self.timed:
-            raise InputError("the log has no timestamps, so frames cannot be selected by time")
-        (start, end), t_ns = self._limits, frames["t_ns"]
-        return frames.compress((start is None or t_ns >= start) & (end is None or t_ns < end))
 
     def _read_ahead(self, blocks: Iterator[FrameArray], notes: LogNotes) -> Iterator[FrameArray]:
         """Yield the blocks, which a thread reads ahead: the core parses without the interpreter's lock."""
@@ -133,17 +131,24 @@ class LogReader(LogNotes):
 open_log = LogReader
 
 
+def within(frames: FrameArray, start_ns: int | None, end_ns: int | None) -> FrameArray:
+    """Return the frames with start_ns <= t_ns < end_ns, one of which may be None."""
+    t_ns = frames["t_ns"]
+    return frames.compress((start_ns is None or t_ns >= start_ns) & (end_ns is None or t_ns < end_ns))
+
+
 def _text_blocks(lines: LineBlocks, notes: LogNotes, deltas: bool) -> Iterator[FrameArray]:
     parser = CandumpParser(notes, deltas=deltas)
     error: InputError | None = None
     try:
         for text, begin, end in lines:
-            yield from parser.gather(text, begin, end)
-            if lines.live or parser.count >= _BLOCK_FRAMES:
-                yield parser.take()
+            for block in parser.gather(text, begin, end):
+                yield block.frames
+            if lines.live or parser.count + len(parser.fd) >= _BLOCK_FRAMES:
+                yield parser.take().frames
     except InputError as bad:  # strict: return the frames before it first
         error = bad
-    yield parser.take()
+    yield parser.take().frames
     if error is not None:
         raise error
 
