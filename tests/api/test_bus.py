@@ -161,6 +161,12 @@ def test_a_passive_finger_sends_nothing(bus: tipforce.SimulatedBus) -> None:
     assert math.isnan(contact.u_P_newtons)  # no calibration is known
 
 
+def test_a_finger_is_one_object_for_the_same_arguments(bus: tipforce.SimulatedBus) -> None:
+    with tipforce.open(**bus.bus_options) as opened:
+        finger, listener = opened.finger(5), opened.finger(5, passive=True)
+        assert opened.finger(5) is finger is not listener is opened.finger(5, passive=True)
+
+
 def test_a_bus_of_yours_stays_open(bus: tipforce.SimulatedBus) -> None:
     with can.Bus(**bus.bus_options) as mine:
         with tipforce.open(mine) as opened:
