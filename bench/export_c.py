@@ -73,10 +73,8 @@ def main() -> None:
     from export_c import estimators
 
     with tempfile.TemporaryDirectory() as folder:
-        programs = {
-            real: estimators.build(Path(folder) / real, 3, real, estimators.SANITIZE) for real in estimators.REALS
-        }
-        tallies = estimators.compare(programs, 3, SAMPLES, SEED)
+        libraries = {real: estimators.Library(Path(folder) / real, 3, real) for real in estimators.REALS}
+        tallies = estimators.compare(libraries, SAMPLES, SEED)
     rows = [
         [name, f"{t.samples}", f"{1e6 * t.P:.3g}", f"{t.ordinary_phi_deg:.1e}", f"{t.ordinary_theta_deg:.1e}",
          f"{100 * t.uncertainty:.1e}", f"{t.status_at_a_limit}"] for name, t in tallies.items()

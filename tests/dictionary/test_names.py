@@ -73,11 +73,14 @@ def test_all_names() -> None:
 
 
 @pytest.mark.parametrize("n", range(3, 9))
-def test_signals_lie_side_by_side_and_names_are_unique(n: int) -> None:
+def test_default_mappings_are_mappable_and_signals_lie_side_by_side_with_unique_names(n: int) -> None:
     messages = tpdo_messages(n) + rpdo_messages()
     assert sum(m.kind == "tpdo" for m in messages) == len(table.tpdos(n))
     for message in messages:
         taken: set[int] = set()
+        for index, sub, bits in message.mapping:
+            assert entries(n)[index, sub].flags & (table.TPDO if message.kind == "tpdo" else table.RPDO)
+            assert table.mapped_bits(index) == bits
         for signal in message.signals:
             own = set(range(signal.start_bit, signal.start_bit + signal.bits))
             assert not own & taken

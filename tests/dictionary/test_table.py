@@ -39,21 +39,6 @@ def test_indices_names_sub_indices_and_defaults_are_consistent(n: int, simulated
                 assert row.high is None or row.default <= row.high, row.name
 
 
-@pytest.mark.parametrize("n", range(3, 9))
-def test_default_mappings_are_mappable_and_fit(n: int) -> None:
-    known = entries(n)
-    for pdos, flag in ((table.tpdos(n), table.TPDO), (table.rpdos(), table.RPDO)):
-        for number, _, _, _, _, _, mapping in pdos:
-            bits = 0
-            for place in mapping:
-                assert known[place].flags & flag, place
-                size = types.data_type(known[place].type).size
-                assert size is not None
-                assert table.mapped_bits(place[0]) == 8 * size
-                bits += 8 * size
-            assert 0 < bits <= 64, number
-
-
 def test_every_gauge_is_in_exactly_one_default_tpdo() -> None:
     for n in range(3, 9):
         gauges = [s for pdo in table.tpdos(n) for index, s in pdo[6] if index == 0x7130 and s <= n]

@@ -15,24 +15,26 @@ angle:
   difference of two angles, which may cancel: there the share is one of u(theta) + 2 u(phi).
 """
 
+import ctypes
 import math
 import shutil
 import subprocess
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
-from tipforce_tools.export.c_sources import ESTIMATOR, write_c_files
+from tipforce_tools.export.c_sources import write_c_files
 
-HERE = Path(__file__).parent
 HOST_FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic", "-O2"]
 SANITIZE = ["-fsanitize=undefined", "-fno-sanitize-recover=all"]
-REALS = {"float": ["-DTIPFORCE_REAL=float"], "double": ["-DTIPFORCE_REAL=double", "-DTIPFORCE_DOUBLE"]}
+REALS: dict[str, Any] = {"float": ctypes.c_float, "double": ctypes.c_double}
 FORCE_STEP, ANGLE_STEP = 2.0**-20, 2.0 * math.pi * 2.0**-32
 ROUNDING = {"float": 2.0**-24, "double": 2.0**-53, "fixed": 2.0**-29}
 STEP = {"float": (0.0, 0.0), "double": (0.0, 0.0), "fixed": (2 * FORCE_STEP, 4 * ANGLE_STEP)}
@@ -41,26 +43,75 @@ UNITS_LIMIT = 1 << 27
 FULL_FORCE = 1024.0
 CALIBRATED = scalar.CALIBRATED
 RESULT = ("F1", "F2", "F3", "P", "phi", "theta", "miss", "u_P", "u_phi", "u_theta", "status", "unknown")
+UNITS = [FORCE_STEP] * 4 + [ANGLE_STEP] * 2 + [FORCE_STEP] * 2 + [ANGLE_STEP] * 2 + [1.0] * 2  # of RESULT, fixed point
+OPAQUE_BYTES = 1 << 13  # for any structure that is only handed on
 LAYOUTS: dict[int, Any] = {3: "I", 4: ("L", "R", "T", "U"), 8: ("L", "R", "T", "U", "K_H", "S_H", "K_V", "S_V")}
 
 
-def build(folder: Path, n: int, real: str, extra: list[str], changed: tuple[str, str, str] | None = None) -> Path:
-    """Export into ``folder``, compile with every warning an error; the program. ``changed``: (file, text, other)."""
-    write_c_files(folder, n)
-    if changed is not None:
-        text = (folder / changed[0]).read_text()
-        assert text.count(changed[1]) == 1, changed
-        (folder / changed[0]).write_text(text.replace(changed[1], changed[2]))
-    sources = [folder / "tipforce_od.c", *(folder / name for name in ESTIMATOR if name.endswith(".c"))]
-    program = folder / f"harness-{real}"
-    line = ["gcc", *HOST_FLAGS, *extra, *REALS[real], f"-I{folder}", *sources, HERE / "harness.c", "-lm"]
-    done = subprocess.run([*map(str, line), "-o", str(program)], capture_output=True, text=True, check=False)
+def gcc(*words: object) -> None:
+    """Compile with every warning an error."""
+    if shutil.which("gcc") is None:
+        pytest.skip("gcc is missing: apt-get install gcc")
+    done = subprocess.run(["gcc", *HOST_FLAGS, *map(str, words), "-lm"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    return program
 
 
-def found_compiler(name: str) -> bool:
-    return shutil.which(name) is not None
+class Library:
+    """The C code of n gauges as a shared library. Its structures are numpy's: ``align`` lays them out as C does.
+
+    ``changed``: (file, text, other) is replaced in the source. Undefined behaviour ends the process and says where.
+    """
+
+    def __init__(self, folder: Path, n: int, real: str, changed: tuple[str, str, str] | None = None) -> None:
+        write_c_files(folder, n)
+        if changed is not None:
+            text = (folder / changed[0]).read_text()
+            assert text.count(changed[1]) == 1, changed
+            (folder / changed[0]).write_text(text.replace(changed[1], changed[2]))
+        defined = [f"-DTIPFORCE_REAL={real}", *(["-DTIPFORCE_DOUBLE"] if real == "double" else [])]
+        target = folder / f"{real}.so"
+        gcc(*SANITIZE, *defined, "-shared", "-fPIC", f"-I{folder}", *folder.glob("*.c"), "-o", target)
+        self._functions = ctypes.CDLL(str(target))
+        self.n, self.real, self.dtype = n, REALS[real], np.dtype(REALS[real])
+        r, names = self.dtype, RESULT[3:-2]
+        limits = [(name, r) for name in ("on_N", "off_N", "theta_min_deg", "theta_max_deg")]
+        self.calibration = np.dtype(
+            [("C", r, (3, n)), ("offset", r, n), ("cov", r, 6), *limits, ("pull", "?")], align=True
+        )
+        self.result = np.dtype([("F", r, 3), *((name, r) for name in names), ("status", "u1")], align=True)
+        fixed = [("F", "i4", 3), ("P", "i4"), ("miss", "i4"), ("phi", "i4"), ("theta", "i4"), ("u_P", "i4")]
+        fixed += [("u_phi", "u4"), ("u_theta", "u4"), ("status", "u1"), ("unknown", "u1")]
+        self.fixed_result = np.dtype(fixed, align=True)
+
+    def __call__(self, name: str, *arguments: Any) -> int:
+        """Call ``tipforce_NAME``: arrays are passed by their address, numpy's numbers as C's int."""
+        words = [ctypes.c_void_p(x.ctypes.data) if isinstance(x, np.ndarray) else
+                 int(x) if isinstance(x, np.generic) else x for x in arguments]  # fmt: skip
+        return int(getattr(self._functions, f"tipforce_{name}")(*words))
+
+    def run(self, block: "Block") -> tuple[np.ndarray, np.ndarray]:
+        """RESULT by samples: (samples, 12) of the float variant, and of the fixed-point one; newtons and radians."""
+        upper = block.noise[np.triu_indices(self.n)]
+        calibration, fixed = np.zeros(1, self.calibration), np.zeros(OPAQUE_BYTES, "u1")
+        calibration[["C", "offset", "on_N", "off_N", "theta_min_deg", "theta_max_deg", "pull"]] = [
+            (block.C, block.offset, *block.limits, block.pull)
+        ]
+        self("float_covariance", calibration, upper.astype(self.dtype))
+        numbers = (np.ascontiguousarray(block.C), block.offset, upper)
+        limits = np.array(block.limits)
+        assert self("fixed_setup", fixed, *numbers, ctypes.c_double(block.strain_per_unit), limits, block.pull) & 0xFF
+        strain, tare = block.strain.astype(self.dtype), (block.tare * FORCE_STEP).astype(self.dtype)
+        floats, ints = np.zeros(len(strain), self.result), np.zeros(len(strain), self.fixed_result)
+        for k, known in enumerate(zip(block.early, block.was_present, strict=True)):
+            self("float_estimate", calibration, strain[k], tare[k], *known, floats[k : k + 1])
+            self("fixed_estimate", fixed, block.units[k], block.tare[k], *known, ints[k : k + 1])
+            P, phi = (int(ints[name][k]) for name in ("P", "phi"))
+            assert abs(self("fixed_millinewtons", P) - round(1000.0 * FORCE_STEP * P)) <= 1
+            assert -18000 < self("fixed_centidegrees", phi) <= 18000
+        unknown = [self("unknown", status) & 0xFF for status in floats["status"]]
+        of_float = [*floats["F"].T, *(floats[name] for name in RESULT[3:-1]), unknown]
+        of_fixed = [*ints["F"].T, *(ints[name] for name in RESULT[3:])]
+        return np.column_stack(of_float).astype(float), np.column_stack(of_fixed) * UNITS
 
 
 @dataclass
@@ -92,21 +143,6 @@ class Block:
         self.largest_units = np.max(np.abs(self.units.astype(float)), axis=1).tolist()
         self.largest_C = float(np.max(np.abs(self.C)))
         self.references: dict[int, dict[str, float]] = {}
-
-    def data(self) -> bytes:
-        """What the harness reads."""
-        n, count = self.C.shape[1], len(self.strain)
-        upper = self.noise[np.triu_indices(n)]
-        head = np.concatenate([self.C.ravel(), self.offset, upper, [self.strain_per_unit], self.limits])
-        kind = np.dtype(
-            [("strain", "<f8", n), ("units", "<i4", n), ("tare", "<i4", 3), ("early", "<i4"), ("was", "<i4")]
-            + ([("padding", "<i4")] if (n + 5) % 2 else [])
-        )
-        samples = np.zeros(count, kind)
-        for name, content in (("strain", self.strain), ("units", self.units), ("tare", self.tare)):
-            samples[name] = content
-        samples["early"], samples["was"] = self.early, self.was_present
-        return head.astype("<f8").tobytes() + np.array([self.pull, count], "<i4").tobytes() + samples.tobytes()
 
 
 def random_block(random: np.random.Generator, n: int, count: int) -> Block:
@@ -147,14 +183,6 @@ def _forces(random: np.random.Generator, count: int) -> np.ndarray:
     F[(kind == 6) & (P < 0.01), ::2] = 0.0
     F[(kind == 7) & (P > 20.0)] *= 1e3  # beyond the range of the fixed-point variant
     return F
-
-
-def run(program: Path, blocks: list[Block]) -> tuple[np.ndarray, np.ndarray]:
-    """What the C code finds: (samples, 12) of its float variant and of the fixed-point one."""
-    done = subprocess.run([str(program)], input=b"".join(b.data() for b in blocks), capture_output=True, check=False)
-    assert done.returncode == 0, (done.returncode, done.stderr.decode())
-    found = np.frombuffer(done.stdout, "<f8").reshape(-1, 2, 12)
-    return found[:, 0], found[:, 1]
 
 
 @dataclass
@@ -332,14 +360,14 @@ def _check_status(
     tally.status_at_a_limit += 1
 
 
-def compare(programs: dict[str, Path], n: int, samples: int, seed: int, per_block: int = 500) -> dict[str, Tally]:
+def compare(libraries: Mapping[str, Library], samples: int, seed: int, per_block: int = 500) -> dict[str, Tally]:
     """Every variant over so many samples; the largest deviations."""
     random = np.random.default_rng(seed)
-    tallies = {name: Tally() for name in (*programs, "fixed")}
+    tallies = {name: Tally() for name in (*libraries, "fixed")}
     for _ in range(max(1, samples // per_block)):
-        block = random_block(random, n, per_block)
-        for number, (real, program) in enumerate(programs.items()):
-            floating, fixed = run(program, [block])
+        block = random_block(random, next(iter(libraries.values())).n, per_block)
+        for number, (real, library) in enumerate(libraries.items()):
+            floating, fixed = library.run(block)
             check(block, floating, real, tallies[real])
             if number == 0:
                 check(block, fixed, "fixed", tallies["fixed"])

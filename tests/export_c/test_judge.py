@@ -1,15 +1,12 @@
 """`tipforce export c`: what it writes and refuses; the C judge gives the status bits of the Python one."""
 
 import configparser
-import ctypes
 import io
 import math
 import re
-import subprocess
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import datetime
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +15,7 @@ import numpy as np
 import pytest
 
 from canopen_device.eds import read_eds
-from export_c import estimators
-from export_c.estimators import HOST_FLAGS, REALS
+from export_c.estimators import OPAQUE_BYTES, Library
 from host.decoding.test_judged import BITS, recorded
 from tipforce.dictionary import table
 from tipforce.dictionary.eds import dcf_text, eds_text
@@ -30,11 +26,13 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.configuration_file import read_configuration
 from tipforce.sensor.contact import scalar, scalar_redundancy
 from tipforce_tools.cli.main import main
-from tipforce_tools.export.c_sources import c_files, write_c_files
+from tipforce_tools.export.c_sources import c_files
 
-needs_gcc = pytest.mark.skipif(not estimators.found_compiler("gcc"), reason="gcc is missing: apt-get install gcc")
-Library = Callable[[int, str], ctypes.CDLL]
+Libraries = Callable[[int, str], Library]
 CALIBRATED, UNKNOWN_FORCE = 0x02, 1
+VERDICT = np.dtype(
+    [("faults", "u2"), ("early", "u1"), ("determined", "?"), ("overloaded", "?"), ("more", "u1", OPAQUE_BYTES)]
+)
 BAND_CHI_SQUARE, BAND_FORCE = 1e-3, 1e-5
 """Relative: within it single precision may decide otherwise (docs/uncertainty.md)."""
 
@@ -72,99 +70,42 @@ def test_constants_of_the_c_sources_are_those_of_python() -> None:
     assert [pair for pair in both if pair[1] != known[pair[0]]] == []
 
 
-@pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
-    """The exported sources as a shared library, by number of gauges and TIPFORCE_REAL."""
-    return cache(lambda n, real: compiled(tmp_path_factory.mktemp(f"judge{n}{real}"), n, real))
-
-
-def compiled(folder: Path, n: int, real: str) -> ctypes.CDLL:
-    write_c_files(folder, n)
-    target = folder / f"judge-{real}.so"
-    line = ["gcc", *HOST_FLAGS, *REALS[real], "-shared", "-fPIC", f"-I{folder}", *folder.glob("*.c"), "-lm"]
-    done = subprocess.run([*map(str, line), "-o", str(target)], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return ctypes.CDLL(str(target))
-
-
-def structures(n: int, real: Any) -> dict[str, Any]:
-    """The C structures by name, for n gauges."""
-    triangle, double = n * (n + 1) // 2, ctypes.c_double
-    record = [
-        ("C", double * (3 * n)), ("offset", double * n), ("noise", double * triangle), ("reference", double),
-        ("calibrated", double), ("overload", double), ("lowest", double), ("highest", double), ("model", double),
-        ("converter_limit", double * n), ("offset_per_K", double * n), ("gain_per_K", double),
-        ("redundancy_limit", double),
-    ]  # fmt: skip
-    Record = type("Record", (ctypes.Structure,), {"_fields_": record})
-    subset = [
-        ("C", real * (3 * n)), ("cov", real * 6), ("W", real * ((n - 2) * n)), ("alarm", real), ("exclusion", real),
-        ("shown", ctypes.c_uint8), ("rows", ctypes.c_uint8), ("usable", ctypes.c_bool),
-    ]  # fmt: skip
-    Subset = type("Subset", (ctypes.Structure,), {"_fields_": subset})
-    Judge = type("Judge", (ctypes.Structure,), {"_fields_": [("record", Record), ("all", Subset)]})
-    verdict = [
-        ("faults", ctypes.c_uint16), ("early", ctypes.c_uint8), ("determined", ctypes.c_bool),
-        ("overloaded", ctypes.c_bool), ("V", real * n), ("C", real * (3 * n)), ("cov", real * 6),
-    ]  # fmt: skip
-    Verdict = type("Verdict", (ctypes.Structure,), {"_fields_": verdict})
-    limits = [
-        ("C", real * (3 * n)), ("offset", real * n), ("cov", real * 6), ("on", real), ("off", real),
-        ("theta_min", real), ("theta_max", real), ("pull", ctypes.c_bool),
-    ]  # fmt: skip
-    Limits = type("Limits", (ctypes.Structure,), {"_fields_": limits})
-    result = [("F", real * 3), *((name, real) for name in ("P", "phi", "theta", "miss", "u_P", "u_phi", "u_theta"))]
-    Result = type("Result", (ctypes.Structure,), {"_fields_": [*result, ("status", ctypes.c_uint8)]})
-    return {"Record": Record, "Judge": Judge, "Verdict": Verdict, "Limits": Limits, "Result": Result}
-
-
-def told(
-    library: ctypes.CDLL, real: Any, one: Calibration, samples: list[Sample]
-) -> list[tuple[int, int, float, float]]:
+def judged(library: Library, of: Calibration, samples: list[Sample]) -> list[tuple[int, int, float, float]]:
     """(2124h, status byte, P, u(P)) of each sample as the C code gives them."""
-    n = one.gauges
-    kinds = structures(n, real)
-    record = kinds["Record"](
-        tuple(one.C.ravel()), tuple(one.offset_strain), tuple(one.covariance_strain2[np.triu_indices(n)]),
-        one.reference_temperature_degC, one.calibrated_force_newtons, one.overload_force_newtons,
-        one.temperature_min_degC, one.temperature_max_degC, one.model_uncertainty,
-        tuple(one.converter_limit_strain), tuple(one.offset_temperature_strain_per_K), one.gain_temperature_per_K,
-        one.redundancy_limit,
-    )  # fmt: skip
-    judge, verdict, result = kinds["Judge"](), kinds["Verdict"](), kinds["Result"]()
-    limits = kinds["Limits"](
-        on=one.contact_on_newtons, off=one.contact_off_newtons, theta_min=one.theta_min_deg,
-        theta_max=one.theta_max_deg, pull=one.pull,
-    )  # fmt: skip
-    library.tipforce_judge_setup(ctypes.byref(judge), ctypes.byref(record))
-    array, tare, found = real * n, (real * 3)(), []
-    overloaded = present = False
+    record = np.concatenate([
+        of.C.ravel(), of.offset_strain, of.covariance_strain2[np.triu_indices(of.gauges)],
+        [of.reference_temperature_degC, of.calibrated_force_newtons, of.overload_force_newtons],
+        [of.temperature_min_degC, of.temperature_max_degC, of.model_uncertainty],
+        of.converter_limit_strain, of.offset_temperature_strain_per_K, [of.gain_temperature_per_K],
+        [of.redundancy_limit],
+    ])  # fmt: skip
+    limits = np.zeros(1, library.calibration)
+    limits[["on_N", "off_N", "theta_min_deg", "theta_max_deg", "pull"]] = [
+        (of.contact_on_newtons, of.contact_off_newtons, of.theta_min_deg, of.theta_max_deg, of.pull)
+    ]
+    judge, tare = np.zeros(OPAQUE_BYTES, "u1"), np.zeros(3, library.dtype)
+    verdicts, results = np.zeros(1, VERDICT), np.zeros(1, library.result)
+    library("judge_setup", judge, record)
+    verdict, result = verdicts[0], results[0]
+    found, overloaded, present = [], False, False
     for sample in samples:
         assert sample.reading is not None
-        strain = array(*(1e-6 * m for m in sample.microstrains))
+        strain = np.array(sample.microstrains, library.dtype) * 1e-6
         celsius = math.nan if sample.reading.temperature == -0x8000 else sample.reading.temperature / 100
         lost = sum(1 << k for k, over in enumerate(sample.overloads) if over)
-        library.tipforce_judge_sample(
-            ctypes.byref(judge), strain, real(celsius), ctypes.c_uint8(lost), ctypes.c_bool(overloaded),
-            ctypes.byref(verdict),
-        )  # fmt: skip
-        library.tipforce_judge_estimate(
-            ctypes.byref(verdict), ctypes.byref(limits), tare, ctypes.c_uint8(CALIBRATED), ctypes.c_bool(present),
-            ctypes.byref(result),
-        )  # fmt: skip
-        overloaded = verdict.overloaded
-        present = bool(result.status & 1) if not math.isnan(result.P) else present
-        found.append((verdict.faults, result.status, result.P, result.u_P))
+        library("judge_sample", judge, strain, library.real(celsius), lost, overloaded, verdicts)
+        library("judge_estimate", verdicts, limits, tare, CALIBRATED, present, results)
+        overloaded = bool(verdict["overloaded"])
+        present = bool(result["status"] & 1) if not math.isnan(result["P"]) else present
+        found.append((int(verdict["faults"]), int(result["status"]), float(result["P"]), float(result["u_P"])))
     return found
 
 
-@needs_gcc
 @pytest.mark.parametrize("n", [3, 4, 5, 6, 8])
 @pytest.mark.parametrize("real", ["double", "float"])
-def test_the_verdicts_of_c_and_node_are_equal(n: int, real: str, library: Library) -> None:
+def test_the_verdicts_of_c_and_node_are_equal(n: int, real: str, library: Libraries) -> None:
     calibration, samples = recorded(n)
-    kind = ctypes.c_double if real == "double" else ctypes.c_float
-    found = told(library(n, real), kind, calibration, samples)
+    found = judged(library(n, real), calibration, samples)
     node = [(s.faults & BITS, s.status()) for s in samples]
     other = [k for k, (mine, theirs) in enumerate(zip(found, node, strict=True)) if mine[:2] != theirs]
     if real == "double":
@@ -182,12 +123,10 @@ def test_the_verdicts_of_c_and_node_are_equal(n: int, real: str, library: Librar
             assert one[3] == pytest.approx(sample.uncertainty()[0], rel=max(rel, 1e-6))
 
 
-@needs_gcc
-def test_float_and_double_differ_only_in_a_band_around_a_limit(library: Library) -> None:
+def test_float_and_double_differ_only_in_a_band_around_a_limit(library: Libraries) -> None:
     """The limit is put beside a sample's own chi-square, and the calibrated force beside its own P."""
     calibration, samples = recorded(5)
-    kinds = {"double": ctypes.c_double, "float": ctypes.c_float}
-    programs = {real: (library(5, real), kind) for real, kind in kinds.items()}
+    in_double, in_single = library(5, "double"), library(5, "float")
     chosen = [samples[k] for k in range(105, len(samples), 48) if samples[k].solver is not None]
     assert len(chosen) > 4
     for sample in chosen:
@@ -196,7 +135,7 @@ def test_float_and_double_differ_only_in_a_band_around_a_limit(library: Library)
         while high - low > 1e-6 * high:  # chi-square of the sample, by the verdict of the double variant
             limit = 0.5 * (low + high)
             one = replace(calibration, redundancy_limit=limit)
-            contradicts = told(*programs["double"], one, [sample])[0][0] >> 12 & 1
+            contradicts = judged(in_double, one, [sample])[0][0] >> 12 & 1
             low, high = (limit, high) if contradicts else (low, limit)
         for side in (-1, 1):
             one = replace(
@@ -204,7 +143,7 @@ def test_float_and_double_differ_only_in_a_band_around_a_limit(library: Library)
                 redundancy_limit=high * (1.0 + side * BAND_CHI_SQUARE),
                 calibrated_force_newtons=P * (1.0 + side * BAND_FORCE),
             )
-            double, single = (told(*program, one, [sample])[0] for program in programs.values())
+            double, single = (judged(variant, one, [sample])[0] for variant in (in_double, in_single))
             assert single[:2] == double[:2]
             assert double[0] >> 12 & 1 == (side < 0)
 

@@ -1,4 +1,4 @@
-"""The conversations of ``micropython.scripts``, held with the firmware between fake chips, and recorded.
+"""Conformance cases and the conversations of ``micropython.scripts``, with the firmware between fake chips; recorded.
 
 On CPython a plain device stands beside the firmware and gets the same frames and readings: what the fake bus carries
 must be what it says. So the drivers, the loop and the flash store neither lose nor change anything.
@@ -11,11 +11,13 @@ from typing import Any
 
 import pytest
 
+from canopen_conformance.case import Case
+from canopen_conformance.run import FAIL
 from canopen_device.testing import Conversation, Frame, parse
+from conformance.fingertip import SERIAL, run_in_process
 from microcontroller import rig
 from micropython import recording, scripts
 from micropython.recording import SYNC, Recording, Talk
-from tipforce.dictionary import table
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.source import Reading, Source
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -23,8 +25,7 @@ from tipforce.sensor.structure.strain import strain_matrix
 
 COUNTS_PER_MICROSTRAIN = 1024.0
 SLOWER = {"nau7802": 4, "ads1220": 1, "hx711": 16}  # SYNCs stay apart by more than a conversion
-_CONTROLLER = {0x10: "passive", 0x40: "active", 0x08: "warning", 0x02: "overrun"}
-_PRODUCT = table.product_code(3, False, table.CONVERTER_24)
+_CONTROLLER = {0x01: "overrun", 0x30: "passive", 0x40: "active", 0x08: "warning"}
 
 
 class _Tap(Source):
@@ -62,15 +63,22 @@ class _Tap(Source):
 class RecordedFirmware:
     """The firmware as a device to talk with; each step is noted with its answer."""
 
-    def __init__(self, name: str, header: dict[str, Any]) -> None:
-        self.recording = Recording(name, header)
+    def __init__(
+        self, name: str, adc: str, can: str, node_id: int = 5, n: int = 3, groups: dict[str, str] | None = None,
+        now_us: int = 0, serial: int = 0x01020304,
+    ) -> None:  # fmt: skip
+        header = {
+            "node_id": node_id, "serial": serial, "n": n, "adc": adc, "can": can, "now_us": now_us + rig.WARM_UP_US,
+            "counts_per_microstrain": COUNTS_PER_MICROSTRAIN, "groups": groups or {},
+        }  # fmt: skip
+        self.recording = Recording(f"{name}, {adc}, {can}", header)
         self.rig = rig.Rig(json.loads(json.dumps(header)))
         self.pending: list[str] = []  # what happens at the next step besides frames
         firmware = self.rig.firmware
-        self._groups = {name: bytes.fromhex(content) for name, content in header["groups"].items()}
+        self._groups = {name: bytes.fromhex(content) for name, content in (groups or {}).items()}
         # Readings pass through the tap in the order in which the two devices ask: both are built first.
         self._plain = fingertip_node(
-            header["node_id"], _Tap(firmware.gauges), header["n"], header["serial"],
+            node_id, _Tap(firmware.gauges), n, serial,
             lambda name, data: self._groups.update({name: data}) is None, self._groups.get,
         )  # fmt: skip
         self._plain.lss.bit_rate = rig.BIT_RATE
@@ -126,16 +134,10 @@ def firmware_talk(adc: str, can: str) -> type[Talk]:
     class FirmwareTalk(Talk):
         def __init__(
             self, name: str, node_id: int = 5, layout: str | Sequence[str] = "I", store: dict[str, str] | None = None,
-            eds: str = "", now_us: int = 0, front_end: dict[str, Any] | None = None,
+            now_us: int = 0,
         ) -> None:  # fmt: skip
-            assert (eds, front_end) == ("", None), "not part of the firmware"
             self._rows = strain_matrix(FABRICATED, layout)
-            header = {
-                "node_id": node_id, "serial": 0x01020304, "n": len(self._rows), "adc": adc, "can": can,
-                "now_us": now_us + rig.WARM_UP_US, "counts_per_microstrain": COUNTS_PER_MICROSTRAIN,
-                "groups": store or {},
-            }  # fmt: skip
-            self.recorded = RecordedFirmware(f"{name}, {adc}, {can}", header)  # type: ignore[assignment]
+            self.recorded = RecordedFirmware(name, adc, can, node_id, len(self._rows), store, now_us)  # type: ignore[assignment]
             self._load = [0.0, 0.0, 0.0]
             self._fault = [0, 1, 0.0]
             Conversation.__init__(self, self.recorded, now_us, emcy=True)
@@ -165,9 +167,6 @@ def firmware_talk(adc: str, can: str) -> type[Talk]:
                 sent = self.step([SYNC])
             return sent
 
-        def fastscan(self, identity: tuple[int, ...]) -> None:
-            super().fastscan((identity[0], _PRODUCT, *identity[2:]))
-
     return FirmwareTalk
 
 
@@ -175,6 +174,15 @@ def spoken(adc: str, can: str, wanted: Iterable[Callable[[], list[Recording]]]) 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(scripts, "Talk", firmware_talk(adc, can))
         return [one for script in wanted for one in script()]
+
+
+def examined(adc: str, can: str, cases: Sequence[Case]) -> list[Recording]:
+    """Conformance cases with the firmware. They may fail that want 16 bits, or a conversion for each SYNC."""
+    devices = [RecordedFirmware(case.name, adc, can, serial=SERIAL) for case in cases]
+    results = [run_in_process(case, device)[0] for case, device in zip(cases, devices, strict=True)]
+    failed = [result.case.name for result in results if result.verdict == FAIL]
+    assert [name for name in failed if name.split(".")[0] not in ("profile_404", "interrupts_404")] == []
+    return [device.recording for device in devices]
 
 
 def assert_same(recordings: Sequence[Recording], files: dict[str, bytes]) -> None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 import firmware
 import tipforce_loader
+from conformance.fingertip import all_cases
 from microcontroller import talk
 from microcontroller.fakes import MemorySlots
 from micropython import engine, scripts
@@ -20,12 +21,12 @@ BLOCK = 64
 GROUPS = {"application": bytes(range(40)), "calibration": b"\xff" * 50, "lss": b"\5"}
 FOLDER, LOADER = Path(str(firmware.__file__)).parent, Path(str(tipforce_loader.__file__)).parent
 HERE = Path(__file__).parent
-# Every converter and every controller; all conversations but the two that need a simulated front end or a stored EDS.
+# Every converter and every controller: every sixtieth conformance case each, and conversations.
 PAIRS = {
-    ("nau7802", "mcp2515"): (scripts.nmt_and_sdo, scripts.calibration, scripts.measurement, scripts.network),
-    ("ads1220", "machine"): (scripts.pdos, scripts.network, scripts.many_gauges, scripts.filters),
+    ("nau7802", "mcp2515"): (scripts.calibration, scripts.measurement, scripts.bus_faults),
+    ("ads1220", "machine"): (scripts.many_gauges, scripts.filters, scripts.bus_faults),
     ("hx711", "pyb"): (scripts.measurement, scripts.lss),
-}  # fmt: skip
+}
 
 
 class PowerOffError(Exception):
@@ -192,7 +193,12 @@ def firmware_files() -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def spoken() -> list[Recording]:
-    return [one for (adc, can), wanted in PAIRS.items() for one in talk.spoken(adc, can, wanted)]
+    recordings = []
+    for number, ((adc, can), wanted) in enumerate(PAIRS.items()):
+        cases = [case for case in all_cases() if not case.error_frames]  # those of a controller are a conversation
+        recordings += talk.examined(adc, can, cases[number :: 20 * len(PAIRS)])
+        recordings += talk.spoken(adc, can, wanted)
+    return recordings
 
 
 def test_conversations(spoken: list[Recording]) -> None:
@@ -208,7 +214,7 @@ def test_the_conversations_reach_what_the_firmware_adds(spoken: list[Recording])
             assert any(int(word.split("#")[1][12:14], 16) & 3 == 3 for word in contacts), recording.name
             emcy = {word[3:7] for answer in recording.answers for word in answer.split() if word.startswith("85#")}
             assert emcy >= {"3050", "1050"}, recording.name  # front end, gauge saturated
-        if "network" in recording.name:
+        if "bus faults" in recording.name:
             emcy = {word[3:7] for answer in recording.answers for word in answer.split() if word.startswith("85#")}
             assert emcy >= {"1081", "2081", "4081"}, recording.name  # overrun, passive, back from bus-off
     assert {one.stored != "- -" for one in spoken} == {True, False}

@@ -17,7 +17,7 @@ from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 
 STEPS_PER_CALL = 50  # garbage is collected between calls only
 SYNC: Frame = (0x80, b"")
-_LSS_MASTER, _LSS_SLAVE = 0x7E5, 0x7E4
+PAST_SMALL_INTEGERS_US = 1 << 41  # a node's clock after 25 days; MicroPython keeps integers beyond 2^30 on the heap
 
 
 @dataclass
@@ -39,18 +39,18 @@ class Recording:
 
 
 class RecordedDevice:
-    """A node whose steps are noted; for the rest it is the node itself."""
+    """A node whose steps are noted, on a clock that is at ``start_us`` first; for the rest it is the node itself."""
 
     def __init__(
         self, name: str, node_id: int = 5, layout: str | Sequence[str] = "I", store: dict[str, str] | None = None,
-        eds: str = "", serial: int = 0x01020304, front_end: dict[str, Any] | None = None,
+        eds: str = "", serial: int = 0x01020304, front_end: dict[str, Any] | None = None, start_us: int = 0,
     ) -> None:  # fmt: skip
         rows = strain_matrix(FABRICATED, layout)
         header = {
             "node_id": node_id, "serial": serial, "rows": struct.pack(f"<{rows.size}d", *rows.flat).hex(),
             "store": store or {}, "eds": eds, "front_end": front_end,
         }  # fmt: skip
-        self.recording = Recording(name, header)
+        self.recording, self._start_us = Recording(name, header), start_us
         self._store = on_node.Store(header["store"])  # type: ignore[arg-type]
         self.device = on_node.build(header, self._store)
 
@@ -58,14 +58,14 @@ class RecordedDevice:
         return getattr(self.device, name)
 
     def step(self, now_us: int, frames: Iterable[Frame] = ()) -> tuple[list[Frame], int]:
-        frames = [(can_id, bytes(data)) for can_id, data in frames]
+        frames, now_us = [(can_id, bytes(data)) for can_id, data in frames], now_us + self._start_us
         words = [str(now_us), *(f"{can_id:X}#{data.hex()}" for can_id, data in frames)]
         self.recording.steps.append(" ".join(words))
         answer = on_node.answer(self.device, now_us, frames)
         self.recording.answers.append(answer)
         self.recording.stored = self._store.shown()
         words = answer.split()
-        return [parse(word) for word in words[1:] if "#" in word], int(words[0])
+        return [parse(word) for word in words[1:] if "#" in word], int(words[0]) - self._start_us
 
     def stored(self) -> dict[str, str]:
         return {name: content.hex() for name, content in self._store.groups.items()}
@@ -151,23 +151,6 @@ class Talk(Conversation):
         writes += [("H", communication, 3, inhibit), ("H", communication, 5, event_ms), ("I", communication, 1, cob_id)]
         for kind, index, sub, value in writes:
             assert self.put(kind, index, sub, value) == 0, f"{index:04X}h:{sub}"
-
-    def fastscan(self, identity: tuple[int, ...]) -> None:
-        """LSS fastscan (CiA 305, 6.6.4) with a master that knows nothing: bit by bit to ``identity``."""
-        assert self._scanned(0, 0x80, 0, 0)
-        found = []
-        for part in range(4):
-            number = 0
-            for bit in range(31, -1, -1):
-                if not self._scanned(number, bit, part, part):
-                    number |= 1 << bit
-            assert self._scanned(number, 0, part, (part + 1) % 4)
-            found.append(number)
-        assert tuple(found) == identity
-
-    def _scanned(self, number: int, bit: int, part: int, following: int) -> bool:
-        request = b"\x51" + number.to_bytes(4, "little") + bytes((bit, part, following))
-        return any(can_id == _LSS_SLAVE for can_id, _ in self.step([(_LSS_MASTER, request)]))
 
 
 def random_recording(seed: int, steps: int) -> Recording:

@@ -14,7 +14,7 @@ from can.interfaces.virtual import VirtualBus
 from msgspec.structs import replace
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.network.open_bus import open_bus
+from tipforce.host.network.interfaces import open_bus
 from tipforce.scene import realtime
 from tipforce.scene.reader import read_scene
 from tipforce.scene.registry import identifiers, parts

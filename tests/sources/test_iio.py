@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_device.core.node import Device
-from fingertip.finger import SATURATED, STALE, UNKNOWN, record
+from fingertip.finger import SATURATED, STALE, UNKNOWN, Finger, record
 from sources.iio_tree import Tree
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.fingertip.calibration import Active
@@ -56,44 +55,23 @@ def source(parts: list[PolledDevice], gauges: int = 3, **options: object) -> Iio
     return IioSource(parts, gauges, CONVERTER, ENDS, clock=lambda: 0, **options)  # type: ignore[arg-type]
 
 
-class Talk:
-    """A node on a source, operational, with its frames."""
+class Talk(Finger):
+    """A node on a source, operational, with its EMCY messages."""
 
     def __init__(self, given: IioSource) -> None:
-        self.source = given
-        self.now_us = 1_000_000
-        self.frames: list[tuple[int, bytes]] = []
-        self.device: Device = fingertip_node(5, given)
-        self.step(0x000, b"\x01\x05")
+        super().__init__(fingertip_node(5, given), given, emcy=True)
 
-    def step(self, can_id: int = 0x7FF, data: bytes = b"") -> None:
-        self.frames += self.device.step(self.now_us, [(can_id, data)])[0]
-
-    def sync(self, count: int = 1, before: Callable[[], None] = lambda: None) -> tuple[int, int, tuple[int, ...]]:
+    def syncs(self, count: int = 1, before: Callable[[], None] = lambda: None) -> tuple[int, int, tuple[int, ...]]:
+        """Status, counter and gauges of the last of several SYNCs; ``before`` is called before each."""
         for _ in range(count):
-            self.now_us += SYNC_US
             before()
-            self.frames = [frame for frame in self.frames if frame[0] == 0x085]
-            self.step(0x080)
-        *gauges, status, counter = struct.unpack("<hhhBB", dict(self.frames)[0x185])
-        return status, counter, tuple(gauges)
-
-    def idle(self, until_us: int) -> None:
-        while self.now_us < until_us:
-            sent, due_us = self.device.step(self.now_us)
-            self.frames += sent
-            self.now_us = min(max(due_us, self.now_us + 1), until_us)
-        self.step()
+            pdos = self.sync(SYNC_US)
+        return pdos.status, pdos.counter, pdos.gauges
 
     def emcys(self) -> list[tuple[int, int, int]]:
-        """(code, detail, cured code) of the EMCYs since the last SYNC or look."""
-        found = []
-        for can_id, data in self.frames:
-            if can_id == 0x085:
-                code, _register, first, second = struct.unpack("<HBHHx", data)
-                found.append((code, second, first) if code == 0 else (code, first, 0))
-        self.frames = []
-        return found
+        """(code, detail, cured code) since the last call."""
+        found = [struct.unpack("<HxHHx", data) for can_id, data in self.take() if can_id == 0x085]
+        return [(code, first, 0) if code else (0, second, first) for code, first, second in found]
 
 
 def set_raw(tree: Tree, number: int, counts: int, channel: str = "voltage") -> None:
@@ -165,7 +143,7 @@ def test_readings_are_fresh_once_a_period_and_in_the_order_of_the_gauges(three: 
 
 
 def test_strain_follows_from_the_scaling_of_the_converter(three: Tree) -> None:
-    status, counter, gauges = Talk(source(polled(three))).sync()
+    status, counter, gauges = Talk(source(polled(three))).syncs()
     assert not status & (STALE | FAULT)
     assert counter == 1
     assert gauges == (0, 50, 100)  # 10 counts are 5 microstrain, in steps of 0.1
@@ -196,20 +174,20 @@ def test_a_device_that_is_gone_is_told_at_once_and_taken_up_again(
     three: Tree, caplog: pytest.LogCaptureFixture
 ) -> None:
     talk = Talk(source(polled(three)))
-    talk.sync(3)
+    talk.syncs(3)
     three.remove(1)
-    status, counter, gauges = talk.sync()
+    status, counter, gauges = talk.syncs()
     assert status & STALE
     assert status & FAULT
     assert counter == 3, "no new sample"
     assert gauges == (UNKNOWN,) * 3
     assert talk.emcys() == [(0x5030, 8, 0)]
     for _ in range(100):
-        assert talk.sync()[2] == (UNKNOWN,) * 3
+        assert talk.syncs()[2] == (UNKNOWN,) * 3
         assert talk.emcys() == []
     three.add(7, "0-0051", {"voltage": 2148})  # another number, the same place
-    talk.sync(60)
-    status, _, gauges = talk.sync()
+    talk.syncs(60)
+    status, _, gauges = talk.syncs()
     assert not status & (STALE | FAULT)
     assert gauges == (0, 500, 100)
     assert [record.message for record in caplog.records] == [
@@ -219,36 +197,34 @@ def test_a_device_that_is_gone_is_told_at_once_and_taken_up_again(
 
 def test_another_device_under_the_old_number_is_not_taken(three: Tree) -> None:
     talk = Talk(source(polled(three)))
-    talk.sync()
+    talk.syncs()
     three.remove(1)
     three.add(1, "0-0077", {"voltage": 4000})
     for _ in range(100):
-        assert talk.sync()[2] == (UNKNOWN,) * 3
+        assert talk.syncs()[2] == (UNKNOWN,) * 3
 
 
 def test_a_value_that_is_no_number_is_no_data(three: Tree) -> None:
     talk = Talk(source(polled(three)))
-    talk.sync()
+    talk.syncs()
     (three.root / "iio:device2/in_voltage_raw").write_text("?\n")
-    assert talk.sync()[2] == (UNKNOWN,) * 3
+    assert talk.syncs()[2] == (UNKNOWN,) * 3
     assert talk.emcys() == [(0x5030, 8, 0)]
 
 
 def test_without_sync_the_source_is_looked_after_too(three: Tree) -> None:
     talk = Talk(source(polled(three)))
-    talk.sync()
-    talk.frames = []
+    talk.syncs()
     three.remove(0)
-    began = talk.now_us
-    talk.idle(began + 100_000)
+    talk.advance(100_000)
     assert talk.emcys() == [(0x5030, 8, 0)], "within 100 ms"
     three.add(0, "0-0050", {"voltage": 4095})
-    talk.idle(began + 400_000)
+    talk.advance(300_000)
     assert talk.emcys() == [(0x5010, 1, 0), (0, 8, 0x5030)]
     set_raw(three, 0, 2048)
-    counter = talk.sync()[1]
-    talk.idle(talk.now_us + 1_000_000)
-    assert talk.sync()[1] == counter + 1, "looking alone counts no sample"
+    counter = talk.syncs()[1]
+    talk.advance(1_000_000)
+    assert talk.syncs()[1] == counter + 1, "looking alone counts no sample"
 
 
 def test_before_the_first_sync_there_is_an_emcy_too(three: Tree) -> None:
@@ -265,24 +241,24 @@ def test_before_the_first_sync_there_is_an_emcy_too(three: Tree) -> None:
 
 def test_saturation_then_a_broken_wire(three: Tree) -> None:
     talk = Talk(source(polled(three)))
-    talk.sync(3)
+    talk.syncs(3)
     set_raw(three, 1, 4095)
-    status, _, gauges = talk.sync()
+    status, _, gauges = talk.syncs()
     assert status & SATURATED
     assert not status & FAULT
     assert gauges[1] == 32767
     assert talk.emcys() == [(0x5010, 2, 0)]
-    talk.sync(1_000_000 // SYNC_US + 1)
+    talk.syncs(1_000_000 // SYNC_US + 1)
     assert talk.emcys() == [(0x5030, 10, 0)]
     set_raw(three, 1, 2058)
-    assert talk.sync(2)[2] == (0, 50, 100)
+    assert talk.syncs(2)[2] == (0, 50, 100)
     assert sorted(talk.emcys()) == [(0, 2, 0x5010), (0, 10, 0x5030)]
 
 
 def test_a_value_that_stands_still_where_noise_is_known(three: Tree) -> None:
     talk = Talk(source(polled(three)))
     data = record(noise_strain=1e-6)  # two counts
-    calibration = talk.device.application.calibration  # type: ignore[union-attr]
+    calibration = talk.device.application.calibration
     assert calibration is not None
     calibration.active = Active(data, list(struct.unpack(calibration.packing, data)), 3)
     wiggle = iter(range(10_000))
@@ -294,22 +270,22 @@ def test_a_value_that_stands_still_where_noise_is_known(three: Tree) -> None:
 
         return set_them
 
-    assert not talk.sync(50, move((0, 1, 2)))[0] & FAULT
-    count = next(count for count in range(1, 60) if talk.sync(1, move((0, 2)))[0] & FAULT)
+    assert not talk.syncs(50, move((0, 1, 2)))[0] & FAULT
+    count = next(count for count in range(1, 60) if talk.syncs(1, move((0, 2)))[0] & FAULT)
     assert count * SYNC_US <= 100_000
     assert talk.emcys() == [(0x5030, 9, 0)]
-    assert not talk.sync(1, move((0, 1, 2)))[0] & FAULT
+    assert not talk.syncs(1, move((0, 1, 2)))[0] & FAULT
 
 
 def test_a_supply_out_of_tolerance(three: Tree) -> None:
     off = [False]
     talk = Talk(source(polled(three), supply_fault=lambda: off[0]))
-    assert not talk.sync(30)[0] & FAULT
+    assert not talk.syncs(30)[0] & FAULT
     off[0] = True
-    assert talk.sync(50)[0] & FAULT, "within 100 ms"
-    assert talk.sync()[2] == (UNKNOWN,) * 3
+    assert talk.syncs(50)[0] & FAULT, "within 100 ms"
+    assert talk.syncs()[2] == (UNKNOWN,) * 3
     off[0] = False
-    assert not talk.sync(50)[0] & FAULT
+    assert not talk.syncs(50)[0] & FAULT
 
 
 @given(

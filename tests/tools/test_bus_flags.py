@@ -392,7 +392,7 @@ def test_the_interface_is_the_only_one_that_is_up(
         raise EnvironmentLackError(f"it would open {options or _}")
 
     monkeypatch.setattr("tipforce.host.network.interfaces.interfaces", lambda: known)
-    for name in ("host.network.open_bus.open_bus", "host.live.receive.open_socket", "host.hand.link.open_bus"):
+    for name in ("host.network.interfaces.open_bus", "host.live.receive.open_socket", "host.hand.link.open_bus"):
         monkeypatch.setattr(f"tipforce.{name}", refuse)
     monkeypatch.setattr("canopen_device.running.ports.SocketCanPort.__init__", refuse)
     monkeypatch.setattr("tipforce.host.hand.link.SocketLink.__init__", refuse)

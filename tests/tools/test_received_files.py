@@ -19,7 +19,7 @@ from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.hand.file import read_hand
-from tipforce.host.network.open_bus import open_bus
+from tipforce.host.network.interfaces import open_bus
 from tipforce.scene import beam_calibration
 from tipforce.sources.simulated import SimulatedSource
 from tipforce_tools.cli.main import main

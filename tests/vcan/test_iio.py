@@ -21,7 +21,6 @@ import pytest
 
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.network.bus import Bus
-from tipforce.host.network.finger import FingertipClient
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
@@ -148,7 +147,7 @@ def iio_node(
     folder = tmp_path_factory.mktemp("iio")
     (folder / "finger.toml").write_text(LAYOUT)
     with running_node(folder, *flags(folder, "0-0050,iio:device1,device2/voltage")) as node:
-        FingertipClient(host.sdo(NODE_ID)).apply_calibration(calibration(), store=False)
+        host.finger(NODE_ID).apply_calibration(calibration(), store=False)
         yield node
         assert "Traceback" not in node.stderr
 

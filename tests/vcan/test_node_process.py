@@ -13,7 +13,6 @@ import pytest
 from tipforce.dictionary import objects as od
 from tipforce.errors import SdoAbortError
 from tipforce.host.network.bus import Bus
-from tipforce.host.network.finger import FingertipClient
 from tipforce_tools.demo.job import case_calibration
 from vcan.adc import in_user_mode_linux
 from vcan.support import (
@@ -66,13 +65,13 @@ def test_sigterm_and_ctrl_c_end_the_node_and_free_the_socket(bus: RawBus, tmp_pa
 
 def test_kill_during_a_store_leaves_the_old_or_the_new_calibration(host: Bus, tmp_path: Path) -> None:
     store = ("--store", str(tmp_path / "store.json"))
-    client = FingertipClient(host.sdo(NODE_ID))
+    finger = host.finger(NODE_ID)
     calibrations = [case_calibration("I", pull=True), case_calibration("II", pull=True)]
     chance = random.Random(20261121)
     with running_node(tmp_path, *store):
-        client.apply_calibration(calibrations[0], store=False)
+        finger.apply_calibration(calibrations[0], store=False)
         begin_s = time.monotonic()
-        client.store(calibration=True)
+        finger.store(calibration=True)
         duration_s = time.monotonic() - begin_s
     allowed = {calibrations[0].crc32()}
     for _ in range(KILLS):
@@ -81,7 +80,7 @@ def test_kill_during_a_store_leaves_the_old_or_the_new_calibration(host: Bus, tm
             assert found in allowed, node.stderr
             new = calibrations[1] if found == calibrations[0].crc32() else calibrations[0]
             allowed = {found, new.crc32()}
-            client.apply_calibration(new, store=False)
+            finger.apply_calibration(new, store=False)
             host.send(SDO_REQUEST + NODE_ID, STORE_CALIBRATION)
             time.sleep(chance.uniform(0.0, duration_s))
             assert node.end(signal.SIGKILL) == -signal.SIGKILL
@@ -181,26 +180,26 @@ def test_a_disk_that_takes_nothing_costs_nothing_but_the_storing(
     disk: Path, host: Bus, tmp_path: Path, trouble: str, message: str
 ) -> None:
     store = ("--store", str(disk / "node.json"))
-    client = FingertipClient(host.sdo(NODE_ID))
+    finger = host.finger(NODE_ID)
     first, second = case_calibration("I", pull=True), case_calibration("II", pull=True)
     with running_node(tmp_path, *store) as node:
-        client.apply_calibration(first)
+        finger.apply_calibration(first)
         fill(disk) if trouble == "full" else remount(disk, "ro")
-        client.apply_calibration(second, store=False)
+        finger.apply_calibration(second, store=False)
         for _ in range(3):
             with pytest.raises(SdoAbortError) as refused:
-                client.store(calibration=True)
+                finger.store(calibration=True)
             assert refused.value.code == 0x06060000
         assert node.stderr.count(message) == 1
-        assert client.verify_calibration(second) == [], "what is active stays active"
+        assert finger.verify_calibration(second) == [], "what is active stays active"
         still_answers()
         assert node.end(signal.SIGKILL) == -signal.SIGKILL
     (disk / "ballast").unlink() if trouble == "full" else remount(disk, "rw")
     with running_node(tmp_path, *store):
-        assert client.verify_calibration(first) == [], "what was stored is still there"
-        client.apply_calibration(second)
+        assert finger.verify_calibration(first) == [], "what was stored is still there"
+        finger.apply_calibration(second)
     with running_node(tmp_path, *store):
-        assert client.verify_calibration(second) == []
+        assert finger.verify_calibration(second) == []
 
 
 def test_a_clock_that_is_set_moves_nothing(bus: RawBus, tmp_path: Path) -> None:

@@ -86,7 +86,7 @@ def run_node(args: argparse.Namespace) -> int:
     from canopen_device.running.store import FileStore
     from tipforce.dictionary.eds import eds_text
     from tipforce.fingertip.node import fingertip_node
-    from tipforce.host.network.open_bus import open_port
+    from tipforce.host.network.interfaces import open_port
     from tipforce.sources.layout_file import read_layout
     from tipforce_tools.cli import service
 
@@ -201,7 +201,7 @@ def add_simulate_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_simulate(args: argparse.Namespace) -> int:
     """Run the devices until Ctrl-C or SIGTERM; return 0."""
-    from tipforce.host.network.open_bus import open_port
+    from tipforce.host.network.interfaces import open_port
     from tipforce_tools.cli.service import serve
 
     devices = _devices(args)

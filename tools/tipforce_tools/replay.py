@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
-from functools import partial
+from io import FileIO
 from itertools import count, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 from canopen_device.core.codes import ERROR_FLAG
 from tipforce.errors import InputError, TipforceError
@@ -22,13 +21,10 @@ from tipforce_tools.cli.listening import StopSignals, counted
 from tipforce_tools.cli.main import INTERRUPTED
 
 if TYPE_CHECKING:
-    from tipforce.host.frames.frame_block import CandumpBlock, FdFrame
+    from tipforce.host.frames.frame_block import CandumpBlock, Frame
     from tipforce.host.live.send import Sender
     from tipforce.host.logs.candump import CandumpParser
     from tipforce.host.logs.notes import LogNotes
-
-    Frame: TypeAlias = FdFrame | tuple[int, int, int, bytes, int, bool]
-    """As CandumpBlock.in_order has them: t_ns, identifier, length, data, number of the interface, sent."""
 
 DESCRIPTION = """\
 Send the frames of a log with their recorded timing. LOG is candump text (plain, gzip or zstd; - reads stdin) or any
@@ -113,8 +109,6 @@ def run(args: argparse.Namespace) -> int:
 
 def _frames(args: argparse.Namespace, parser: CandumpParser) -> Iterator[tuple[float, str, Frame]]:
     """Yield all frames in order, --loop times: seconds after the start, interface, frame. Raises InputError."""
-    from tipforce.host.frames.frame_block import FdFrame
-
     clock = Clock(args.speed, args.max_gap)
     for _ in islice(count(), args.loop):
         clock.begin_again()
@@ -124,8 +118,7 @@ def _frames(args: argparse.Namespace, parser: CandumpParser) -> Iterator[tuple[f
                 raise InputError(f"{args.log} has no timestamps: record it with candump -L or `tipforce log`")
             empty = empty and not len(block)
             for frame in block.in_order():
-                t_ns, interface = (frame.t_ns, frame.interface) if isinstance(frame, FdFrame) else (frame[0], frame[4])
-                yield clock.due_s(t_ns), block.names[interface], frame
+                yield clock.due_s(frame[0]), block.names[frame[4]], frame
         if empty:
             return
 
@@ -156,26 +149,23 @@ def log_blocks(name: str, parser: CandumpParser) -> Iterator[CandumpBlock]:
     ``parser`` counts the bad lines of text; if it is strict, BadLineError is raised at the first, after the frames
     before it. Raises InputError for a file that cannot be read.
     """
-    if name == STDIN:
-        from tipforce.host.logs.candump import text_blocks
-
-        return text_blocks(partial(os.read, sys.stdin.fileno()), parser)
     path = Path(name)
     suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() not in {".gz", ".zst"}]
     is_text = not suffixes or suffixes[-1] in _TEXT_SUFFIXES
-    return _text_blocks(path, parser) if is_text else _message_blocks(path)
+    return _text_blocks(name, parser) if is_text else _message_blocks(path)
 
 
-def _text_blocks(path: Path, parser: CandumpParser) -> Iterator[CandumpBlock]:
+def _text_blocks(name: str, parser: CandumpParser) -> Iterator[CandumpBlock]:
     from tipforce.host.logs.candump import text_blocks
     from tipforce.host.logs.lines import open_file
     from tipforce.host.logs.unpacking import decompressed
 
-    with open_file(path) as file:
+    stdin = name == STDIN
+    with FileIO(sys.stdin.fileno(), closefd=False) if stdin else open_file(Path(name)) as file:
         try:
-            yield from text_blocks(decompressed(file, str(path)).read, parser)
+            yield from text_blocks(file.read if stdin else decompressed(file, name).read, parser)
         except (OSError, EOFError) as error:
-            raise InputError(f"{path}: {error}") from error
+            raise InputError(f"{name}: {error}") from error
 
 
 def _message_blocks(path: Path) -> Iterator[CandumpBlock]:
@@ -257,20 +247,16 @@ class Buses:
             self.left_out[f"of {name}, which no assignment names"] += 1
 
     def _send(self, frame: Frame, target: str) -> None:
-        from tipforce.host.frames.frame_block import FdFrame
         from tipforce.host.live.send import NotCarriedError
 
-        can_id = frame.can_id if isinstance(frame, FdFrame) else frame[1]
+        _, can_id, length, data, _, _, fd_flags = frame
         sender = self._senders.get(target) or self._open(target)
         virtual = self._options.get("interface") in _VIRTUAL or "vcan" in target
         if can_id & ERROR_FLAG and not virtual:
             self.left_out["error frames, which only a virtual bus can send"] += 1
             return
         try:
-            if isinstance(frame, FdFrame):
-                sender.send_fd(frame)
-            else:
-                sender.send(can_id, frame[2], frame[3])
+            sender.send(can_id, length, data, fd_flags)
             self.sent += 1
         except NotCarriedError as error:
             self.left_out[f"because {error}"] += 1

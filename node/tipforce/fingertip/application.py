@@ -145,7 +145,7 @@ class Fingertip(Application):
             self.due_us = filtering.due_us
         by_sync = now_us < self._latches_by_sync_until_us
         if new and not by_sync and self._watching():
-            self._latch(now_us)
+            self._latch(now_us, waits=True)
         elif self.source.watch_us and now_us - self.sample.latched_us >= self.source.watch_us:
             seen = self.source.look(now_us)
             # What the application itself calls frozen shows in a row of readings only.
@@ -153,14 +153,17 @@ class Fingertip(Application):
             if seen is not None and seen | own != self.sample.seen | own:
                 self._latch(now_us, self._counter if by_sync else 0, not by_sync)
 
-    def _latch(self, now_us: int, number: int = 0, counts: bool = True) -> None:
+    def _latch(self, now_us: int, number: int = 0, counts: bool = True, waits: bool = False) -> None:
         """Take the newest reading; without a new one the last sample stands, marked stale.
 
+        ``waits``: it stands as it was, until there is a new one or a fault; a converter may be slower than 6114h.
         With 1019h the counter (2121h) is the number of the SYNC, 0 for a latch without SYNC; otherwise it counts
         samples, and a stale one, or one between two SYNCs that shows a fault, repeats it.
         """
         before = self.sample
         sample = self._sampled(now_us)
+        if waits and sample.stale and sample.faults == before.faults:
+            return
         if self.device.od.values.get(OVERFLOW):
             self._counter = number
         elif counts and not sample.stale:

@@ -16,7 +16,7 @@ from canopen_device.core.codes import NMT_COB_ID, SYNC_COB_ID
 from canopen_device.running import loop
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.frames.frame_array import FrameBuffer
-from tipforce.host.network.open_bus import open_bus, open_port
+from tipforce.host.network.interfaces import open_bus, open_port
 from tipforce.scene import schema
 from tipforce.scene.build import Finger, actions
 from tipforce.scene.results import Recording

@@ -20,7 +20,7 @@ from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.measurements import MOST_LOAD_NEWTONS
 from tipforce.host.network.bus import Bus
-from tipforce.host.network.open_bus import open_bus
+from tipforce.host.network.interfaces import open_bus
 from tipforce.scene.delivered import CALIBRATION, beam_calibration, check_noise, pulls, stored_calibration
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix

@@ -18,7 +18,7 @@ from tipforce.host.decoding.decoder import Decoder, Samples
 from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.decoding.health import Health
 from tipforce.host.decoding.pdo_layout import EdsFiles, Layouts
-from tipforce.host.frames.frame_array import FrameArray
+from tipforce.host.frames.frame_array import FrameArray, heartbeats_and_emcys
 from tipforce.host.network.bus_load import LEAST_BITS, MOST_BITS, kinds
 from tipforce.samples import reasons
 
@@ -171,7 +171,7 @@ class BusMonitor:
                 self._nodes.setdefault(duplicate.node_id, _Node())
         data = (can_id & np.uint32(codes.EXTENDED_FLAG | codes.REMOTE_FLAG | codes.ERROR_FLAG)) == 0
         self._sync.add(frames["t_ns"][data & (can_id == codes.SYNC_COB_ID)])
-        self._take_services(frames.compress(data & ((can_id & codes.NODE_ID_MASK) != 0)))
+        self._take_services(frames)
         for part in self._modulus.parts(frames):
             decoded = self._decoder.decode(part)
             for (node_id, name), samples in decoded.items():
@@ -186,20 +186,15 @@ class BusMonitor:
                         self._nodes[node_id].take(name, samples)
 
     def _take_services(self, frames: FrameArray) -> None:
-        """Process heartbeats and EMCY, of which there are few."""
-        function = frames["can_id"] & codes.FUNCTION_MASK
-        is_service = (function == codes.HEARTBEAT_BASE) | (function == codes.EMCY_BASE)
-        for frame in frames[is_service & (frames["length"] > 0)]:
-            node_id = int(frame["can_id"]) & codes.NODE_ID_MASK
-            if node_id not in self._watched:
+        for row, function, node_id, data in heartbeats_and_emcys(frames):
+            if node_id not in self._watched or not data:
                 continue
-            node, t_ns = self._nodes[node_id], int(frame["t_ns"])
-            if int(frame["can_id"]) & codes.FUNCTION_MASK == codes.HEARTBEAT_BASE:
-                node.nmt = int(frame["data"][0]) & 0x7F
+            node, t_ns = self._nodes[node_id], int(frames["t_ns"][row])
+            if function == codes.HEARTBEAT_BASE:
+                node.nmt = data[0] & 0x7F
                 node.heartbeats.add(np.array([t_ns]))
-            elif frame["length"] >= 3:
-                code, register = struct.unpack_from("<HB", frame["data"].tobytes())
-                node.emergency = code, register, t_ns
+            elif len(data) >= 3:
+                node.emergency = *struct.unpack_from("<HB", data), t_ns
 
     def view(self, now_ns: int) -> BusView:
         """Return the state at a time on the clock of the frames."""

@@ -24,7 +24,6 @@ import pytest
 
 from canopen_device.core.node import Device
 from host.bus_with_nodes import beam_calibration
-from tipforce.dictionary.entries import Entry
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.decoding.duplicates import DuplicateNodes
@@ -34,10 +33,8 @@ from tipforce.host.hand import hand as hand_module
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
-from tipforce.host.network.bus import Bus
-from tipforce.host.network.finger import FingertipClient
+from tipforce.host.network.bus import Bus, Heartbeats
 from tipforce.host.network.lss import LssMaster
-from tipforce.host.network.nmt import Heartbeats
 from tipforce.host.network.sdo import Exchange, Request, SdoChannel
 from tipforce.samples.reasons import PRESENT
 from tipforce.samples.record import Rows
@@ -182,6 +179,7 @@ class Connection(Bus):
             line.put(message.arbitration_id, bytes(message.data), seen=echo)
 
         self._line, self._sdo = line, dict[int, Channel]()
+        self._lock, self._fingers = threading.Lock(), {}
         self.network = canopen.Network(SimpleNamespace(send=send))  # type: ignore[arg-type]
         self.heartbeats, self.duplicates = Heartbeats(), DuplicateNodes()
         self.heartbeats._arrived.wait = self._let_time_pass  # type: ignore[method-assign, assignment]
@@ -250,7 +248,7 @@ class SimulatedHand:
         self.master = Connection(line)
         self.events: list[Event] = []
         self.rows: list[Rows] = []
-        self.shown = self.wrong = 0
+        self.shown = 0
         self.wrongs: list[str] = []
         hand.on_event(self.events.append)
         hand.on_rows(self._check)
@@ -275,7 +273,6 @@ class SimulatedHand:
                 off = abs(P - force_newtons(t_us, node_id)) > TOLERANCE_NEWTONS
                 off |= abs(phi - 10.0) > TOLERANCE_DEG or abs(theta - 30.0) > TOLERANCE_DEG
                 if off and not accepted:
-                    self.wrong += 1
                     self.wrongs.append(f"{t_us * 1e-6:.3f} s: finger {node_id} shows {P:.3f} N, {phi:.1f}, {theta:.1f}")
 
     def is_shown(self, node_id: int, seconds: float = 0.1) -> bool:
@@ -284,16 +281,6 @@ class SimulatedHand:
         self.line.run(seconds)
         k = NODE_IDS.index(node_id)
         return bool(self.rows) and all((rows.reason[:, k] == PRESENT).all() for rows in self.rows)
-
-    def write(self, entry: Entry[Any], value: Any, node_id: int = 2) -> bool:
-        """By the other master; return whether the node accepted it."""
-        from tipforce.errors import SdoAbortError
-
-        try:
-            self.master.sdo(node_id).write(entry, value)
-        except SdoAbortError:
-            return False
-        return True
 
 
 @contextlib.contextmanager
@@ -334,7 +321,7 @@ def simulated_hand(
         patch.setattr(threading, "Thread", lambda **_options: thread)
         line.run(0.01)
         for n in NODE_IDS:
-            FingertipClient(link.connection.sdo(n)).apply_calibration(beam_calibration(), store=True)
+            link.connection.finger(n).apply_calibration(beam_calibration(), store=True)
         _bring_up(hand)
         hand.start()
         seen = SimulatedHand(line, hand)

@@ -142,7 +142,7 @@ def outcome(hand: SimulatedHand, before: dict[tuple[int, int, int], bytes], poli
                if after[serial, index, sub] != data]  # fmt: skip
     kinds = hand.kinds(2) + hand.kinds(1)
     text = f"{policy}: differs {differs}, events {[(e.node_id, e.kind, e.text) for e in hand.events]}"
-    assert not hand.wrong, f"{text}, {hand.wrongs[:5]}"
+    assert not hand.wrongs, f"{text}, {hand.wrongs[:5]}"
     shown = hand.is_shown(1) and hand.is_shown(2)
     assert shown or not hand.hand.settled(), text
     if differs:

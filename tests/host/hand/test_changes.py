@@ -20,7 +20,6 @@ from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.meaning import write_back
 from tipforce.host.hand.recovery import Recovery
 from tipforce.host.network.bus import Bus
-from tipforce.host.network.finger import FingertipClient
 from tipforce.samples.reasons import OF_ROW
 
 
@@ -35,7 +34,7 @@ def told(hand: SimulatedHand, kind: str) -> str:
 
 
 def tare(master: Bus) -> None:
-    FingertipClient(master.sdo(2)).tare()
+    master.finger(2).tare()
 
 
 def offset(master: Bus) -> None:
@@ -53,7 +52,7 @@ def remap(master: Bus) -> None:
 
 
 def replaced(master: Bus) -> None:
-    FingertipClient(master.sdo(2)).apply_calibration(beam_calibration("I", C=2.0 * beam_calibration().C), store=False)
+    master.finger(2).apply_calibration(beam_calibration("I", C=2.0 * beam_calibration().C), store=False)
 
 
 @pytest.mark.parametrize(("policy", "outcome"), [("refuse", "refused"), ("restore", "restored")])
@@ -131,7 +130,7 @@ def test_what_is_undone_by_the_other_is_shown_again() -> None:
     with simulated_hand() as hand:
         tare(hand.master)
         told(hand, "refused")
-        FingertipClient(hand.master.sdo(2)).clear_tare()
+        hand.master.finger(2).clear_tare()
         assert "as before" in told(hand, "accepted")
         hand.line.run(0.3)
         assert hand.is_shown(2)

@@ -1,4 +1,4 @@
-"""A whole hand that runs in its own threads on python-can's in-process bus; in simulated time: test_changes.py."""
+"""A hand that runs in its own threads, its parts with threads, its benches; in simulated time: test_changes.py."""
 
 from __future__ import annotations
 
@@ -9,14 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench.hand import HEADER, measure, row
+from bench.soak import Soak
 
 from host.bus_with_nodes import apply_load, beam_calibration, finger, new_channel, running
-from tipforce.errors import InputError
+from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.hand import recovery as module
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
+from tipforce.host.hand.link import Jitter, ThreadSync
 from tipforce.host.hand.recovery import RecoveryQueue
 
 WAIT_S = 60.0
@@ -142,3 +145,93 @@ def test_a_finger_that_is_lost_is_not_tried_again(monkeypatch: pytest.MonkeyPatc
     queue.drop(5)
     assert not queue.waiting()
     queue.close()
+
+
+# --- the times of SYNCs ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("nominal_ns", [1_000_000, 0])
+def test_percentiles_are_those_of_the_deviations(nominal_ns: int) -> None:
+    generator = np.random.default_rng(5)
+    times = np.cumsum(1_000_000 + generator.normal(0, 20_000, 5000).astype(np.int64))
+    jitter = Jitter(nominal_ns)
+    for block in np.array_split(times, 37):
+        jitter.add(block.tolist())
+    jitter.add([])
+    periods = np.diff(times)
+    deviations = np.abs(periods - (nominal_ns or np.median(periods[:136]))) / 1e3
+    found = jitter.figures()
+    assert found.periods == len(periods)
+    assert found.mean_period_us == pytest.approx(periods.mean() / 1e3)
+    assert found.largest_us == pytest.approx(deviations.max(), abs=1.0)
+    assert found.p50_us == pytest.approx(np.percentile(deviations, 50), abs=2.0)
+    assert found.p99_us == pytest.approx(np.percentile(deviations, 99), abs=3.0)
+
+
+def test_an_interruption_is_no_jitter_and_a_gap_is() -> None:
+    jitter = Jitter(1000)
+    jitter.add([0, 1000])
+    jitter.skip()
+    jitter.add([900_000_000])
+    jitter.add([900_001_000, 980_001_000])
+    found = jitter.figures()
+    assert (found.periods, found.largest_us) == (3, 79_999.0)
+    assert np.isnan(Jitter().figures().p50_us)
+
+
+def test_the_thread_sends_as_many_as_it_should() -> None:
+    enough = threading.Event()
+    sent = []
+
+    def send(_data: bytes) -> None:
+        sent.append(0)
+        if len(sent) == 20:
+            enough.set()
+
+    sync = ThreadSync(send, 0.002)
+    assert enough.wait(10)
+    sync.stop()
+    count = len(sent)
+    enough.clear()
+    assert not enough.wait(0.02)
+    assert len(sent) == count
+
+
+def test_a_bus_that_refuses_ends_it_and_a_slow_one_loses_syncs() -> None:
+    calls: list[float] = []
+
+    def slow(_data: bytes) -> None:
+        calls.append(time.monotonic())
+        time.sleep(0.05)
+        if len(calls) == 4:
+            raise EnvironmentLackError("no bus")
+
+    sync = ThreadSync(slow, 0.005)
+    sync._thread.join(60)
+    sync.stop()
+    assert len(calls) == 4
+    assert np.diff(calls).min() >= 0.05  # two close together leave no time for the first
+
+
+# --- short parts of the benches; how many rows come late on a busy machine is not asserted ----------------------------
+
+
+def test_rows_over_loopback_sockets() -> None:
+    found = measure(3, 50.0, 1.5)
+    tally = found.statistics.tally
+    assert tally.rows > 10
+    assert tally.mixed.sum() == 0
+    assert found.statistics.dropped == 0
+    assert tally.missing.sum() < tally.rows * 3
+    assert found.statistics.sync.periods >= tally.rows - 2
+    assert 0.0 < found.latency_us[0] <= found.latency_us[1] <= found.latency_us[2]
+    assert found.fingers_cpu > 0.0
+    assert len(row(found)) == len(HEADER)
+
+
+def test_trouble_breaks_nothing() -> None:
+    outcome = Soak(3, seed=7).run(15.0)
+    assert outcome.breaks == []
+    assert outcome.checked > 2000
+    assert outcome.counts["boot_up"] > 0
+    assert outcome.counts["frames: delay"] > 0

@@ -13,7 +13,6 @@ from tipforce.dictionary import objects as od
 from tipforce.errors import InputError
 from tipforce.host.hand.polled import PolledHand
 from tipforce.host.network.bus import Bus
-from tipforce.host.network.finger import FingertipClient
 
 PATIENCE_S = 0.25  # for a row that stays incomplete
 FINGERS = {1: "I", 2: "II", 7: "III"}
@@ -23,7 +22,7 @@ FINGERS = {1: "I", 2: "II", 7: "III"}
 def bus() -> Iterator[tuple[Bus, FaultyBus]]:
     with connected(*(finger(n, case) for n, case in FINGERS.items())) as (connection, faulty):
         for node_id, case in FINGERS.items():
-            FingertipClient(connection.sdo(node_id)).apply_calibration(beam_calibration(case), store=False)
+            connection.finger(node_id).apply_calibration(beam_calibration(case), store=False)
         yield connection, faulty
 
 

@@ -9,11 +9,10 @@ from collections.abc import Callable
 import pytest
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.frames.frame_block import FdFrame
 from tipforce.host.live import send
 from tipforce.host.live.send import NotCarriedError, SocketCanSender, open_sender
 
-FD = FdFrame(0, 0, 0x123, 1, bytes(range(12)), 0, False)
+FD = 0x123, 12, bytes(range(12)), 1
 Make = Callable[..., SocketCanSender]
 
 
@@ -57,7 +56,7 @@ def make(monkeypatch: pytest.MonkeyPatch, sent: list[bytes]) -> Make:
 def test_frames_as_the_kernel_has_them(make: Make, sent: list[bytes]) -> None:
     with make() as sender:
         sender.send(0x40000181, 8, b"")
-        sender.send_fd(FD)
+        sender.send(*FD)
     assert sent[0].hex() == "8101004008" + "00" * 11
     assert len(sent[1]) == 72
     assert sent[1].hex().startswith("230100000c010000000102030405060708090a0b00")
@@ -74,9 +73,9 @@ def test_a_full_queue_is_waited_for(make: Make, sent: list[bytes], monkeypatch: 
 
 def test_a_bus_without_can_fd(make: Make) -> None:
     with make(errno.EINVAL) as sender, pytest.raises(NotCarriedError, match="can7 carries no CAN FD frames"):
-        sender.send_fd(FD)
+        sender.send(*FD)
     with make(errno.ENETDOWN) as sender, pytest.raises(EnvironmentLackError, match="can7: ENETDOWN"):
-        sender.send_fd(FD)
+        sender.send(*FD)
 
 
 def test_a_bus_that_is_not_there() -> None:

@@ -22,8 +22,8 @@ from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
 from tipforce.host.frames.frame_array import FrameBuffer, frame_array
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.find import FoundNode, find_nodes
+from tipforce.host.network.interfaces import open_bus
 from tipforce.host.network.lss import LssAddress, LssMaster
-from tipforce.host.network.open_bus import open_bus
 
 
 def test_what_is_not_allowed_is_named() -> None:

@@ -216,16 +216,16 @@ def test_a_worker_that_is_killed_is_repeated(
     monkeypatch.setattr(session, "_SMALL_BYTES", 0)
     log = write_log(tmp_path / "run.log", log_lines(3000, (1, 5)))
     assert decode(log, "-j", 1, "-o", tmp_path / "one.csv") == 0
-    write = writers.PartFile.write
+    write = writers.JoinedFile.write
 
-    def dies(self: writers.PartFile, number: int, *rest: Any) -> Any:
+    def dies(self: writers.JoinedFile, number: int, *rest: Any) -> Any:
         marker = tmp_path / "died"
         if number == 2 and (always or not marker.exists()):
             marker.touch()
             os._exit(9)
         return write(self, number, *rest)
 
-    monkeypatch.setattr(writers.PartFile, "write", dies)
+    monkeypatch.setattr(writers.JoinedFile, "write", dies)
     always = False
     assert decode(log, "-j", 2, "-o", tmp_path / "two.csv") == 0
     assert (tmp_path / "died").exists()

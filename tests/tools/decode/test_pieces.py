@@ -13,10 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tipforce.host.decoding import recording
-from tipforce.host.decoding.log_part import Notes, Piece, Reading, Source
+from tipforce.host.decoding.log_part import Piece, Reading, Source
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.lines import line_borders
+from tipforce.host.logs.notes import LogNotes
 from tipforce_tools.cli.main import main
 from tipforce_tools.decode import add_arguments, session
 from tools.decode.logs import decode, log_lines, records_of, rows_of, write_log
@@ -120,9 +121,9 @@ def test_the_same_first_bad_line(log: Path, tmp_path: Path, capsys: pytest.Captu
     number = spoil(log, 0.7)
     said = []
     for jobs in (1, 3):
-        assert decode(log, "--strict", "-o", tmp_path / "a.csv", "--jobs", jobs) == 1
+        assert decode(log, "--strict", "-o", tmp_path / "a[1].csv", "--jobs", jobs) == 1
         said.append(capsys.readouterr().err)
-        assert not (tmp_path / "a.csv").exists()
+        assert [*tmp_path.iterdir()] == [log]
     assert said[1] == said[0]
     assert f"{log}: line {number}:" in said[0]
 
@@ -162,14 +163,14 @@ def test_any_lines(tmp_path_factory: pytest.TempPathFactory, lines: list[bytes],
     )  # fmt: skip
 
 
-def _read(log: Path, ranges: list[tuple[int, int | None]]) -> tuple[list[tuple[object, ...]], Notes]:
+def _read(log: Path, ranges: list[tuple[int, int | None]]) -> tuple[list[tuple[object, ...]], LogNotes]:
     found: list[tuple[object, ...]] = []
-    notes: list[Notes] = []
+    notes: list[LogNotes] = []
     for start, end in ranges:
         source = Source(Piece(str(log), start, end), Reading(Layouts()))
         for block in source:
             found += _rows(block, source.channels)
-        notes.append(source.notes)
+        notes.append(source.copy())
     for more in notes[1:]:
         notes[0].append(more)
     return found, notes[0]

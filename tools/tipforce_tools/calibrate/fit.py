@@ -12,7 +12,7 @@ from tipforce_tools.cli import bus_flags, common
 
 if TYPE_CHECKING:
     from tipforce.host.configuration.calibration import Calibration
-    from tipforce.host.network.finger import FingertipClient
+    from tipforce.host.network.finger import Finger
 
 
 def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
@@ -146,11 +146,11 @@ def run_apply(args: argparse.Namespace) -> int:
     return 0
 
 
-def transfer(client: FingertipClient, calibration: Calibration, store: bool, done: str) -> None:
+def transfer(finger: Finger, calibration: Calibration, store: bool, done: str) -> None:
     """Apply a calibration with a note of each step, and print what the node then has. Raises RefusedError."""
-    name, crc32 = common.shown_node(client.node_id), f"0x{calibration.crc32():08X}"
-    generation = client.apply_calibration(calibration, store, lambda step: common.note(f"{name}: {step}"))
-    record = {"node": client.node_id, "generation": generation, "crc32": crc32}
+    name, crc32 = common.shown_node(finger.node_id), f"0x{calibration.crc32():08X}"
+    generation = finger.apply_calibration(calibration, store, lambda step: common.note(f"{name}: {step}"))
+    record = {"node": finger.node_id, "generation": generation, "crc32": crc32}
     common.print_record(record, f"{done}, generation {generation}, CRC-32 {crc32}")
 
 

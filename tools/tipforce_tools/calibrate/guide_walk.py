@@ -23,7 +23,7 @@ from tipforce.host.configuration.fitting import FitRequest, fitted, limit_of
 from tipforce.host.configuration.guide import EXTRA, EXTRA_TARE, Session, Step
 from tipforce.host.configuration.measurements import read_measurements
 from tipforce.host.network.bus import Bus
-from tipforce.host.network.finger import FingertipClient, Identity
+from tipforce.host.network.finger import Finger, Identity
 from tipforce.sensor.calibration.distributions import variance_factors
 from tipforce.sensor.calibration.result import matrix_to_digits, to_digits
 from tipforce.sensor.contact.redundancy import weighted_inverse
@@ -36,11 +36,11 @@ def _fault_names(faults: int) -> str:
     return ", ".join(name.replace("_", " ") for bit, name, _ in table.FAULT_BITS if faults >> bit & 1)
 
 
-def _checked_node(connection: Bus, args: argparse.Namespace) -> tuple[FingertipClient, GaugeReader, Identity]:
+def _checked_node(connection: Bus, args: argparse.Namespace) -> tuple[Finger, GaugeReader, Identity]:
     """Return the node, after checking that it measures; a note says what it is."""
     name = common.shown_node(args.node)
-    client = connection.finger(args.node)
-    identity = client.identity()
+    finger = connection.finger(args.node)
+    identity = finger.identity()
     if not identity.is_fingertip:
         raise InputError(f"{name}: product code 0x{identity.product:08X} is not a fingertip of this dictionary")
     if args.auto and not identity.simulated:
@@ -48,17 +48,17 @@ def _checked_node(connection: Bus, args: argparse.Namespace) -> tuple[FingertipC
     reader = GaugeReader(connection, args.node, identity.gauges, args.period * 1e-3)
     if not reader.moves():
         raise RefusedError(f"{name}: its sample counter (2121h) does not change: it does not measure; reset it")
-    faults = client.sdo.read(od.FAULTS)
+    faults = finger.sdo.read(od.FAULTS)
     if faults >> table.FAULT_NO_DATA:
         names = _fault_names(faults)
         raise RefusedError(f"{name}: front-end fault 2124h = 0x{faults:04X} ({names}): repair it before calibration")
     temperature = reader.temperature_degC()
-    crc = client.sdo.read(od.CALIBRATION_ACTIVE_CRC)
+    crc = finger.sdo.read(od.CALIBRATION_ACTIVE_CRC)
     what = f"{'simulated ' if identity.simulated else ''}fingertip, {identity.gauges} gauges, serial {identity.serial}"
     held = f"calibrated (CRC-32 0x{crc:08X})" if crc else "not calibrated yet"
     degrees = "temperature unknown" if temperature is None else f"{temperature:.2f} degC"
     common.note(f"{name}: {what}; {held}; {degrees}; measures, no fault")
-    return client, reader, identity
+    return finger, reader, identity
 
 
 def refusals(capture: Capture, max_std_microstrain: float, max_drift_microstrain: float) -> list[str]:

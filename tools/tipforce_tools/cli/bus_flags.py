@@ -182,9 +182,9 @@ def _only_interface() -> str:
 
 def open_bus(args: argparse.Namespace) -> can.BusABC:
     """Open the bus that ``find_bus`` returns."""
-    from tipforce.host.network import open_bus as by_options
+    from tipforce.host.network import interfaces
 
-    return by_options.open_bus(**find_bus(args))
+    return interfaces.open_bus(**find_bus(args))
 
 
 @contextmanager

@@ -126,7 +126,7 @@ def _group(
             hints.watch(buses, opened)
         if sync_hz:
             from tipforce.host.hand.link import kernel_sync
-            from tipforce.host.network.open_bus import open_bus
+            from tipforce.host.network.interfaces import open_bus
 
             for options in buses:
                 kernel_sync(opened.enter_context(open_bus(**options)), 1.0 / sync_hz, [b""])

@@ -140,8 +140,8 @@ class _Run:
             self._write_all(advance)
 
     def _tables(self, advance: Callable[[float], None], tap: Tap | None = None) -> Iterable[Table]:
-        found = tables_of_logs(self._recording, self.names, _positions(advance), tap)
-        return self._resampled(self.summary.passing(self._contact(found)))
+        tables = tables_of_logs(self._recording, self.names, advance, tap)
+        return self._resampled(self.summary.passing(self._contact(tables)))
 
     def _write_all(self, advance: Callable[[float], None]) -> None:
         """Write the rows, which pass through this process."""
@@ -152,7 +152,7 @@ class _Run:
         with self._output([name for name in self.names if name != "-"]) as file:
             if file is not None and kind in {"parquet", "csv"}:
                 with JoinedFile(file, kind, shape := Shape(base)) as joined:
-                    joined.add(0, joined.sink.write(0, looked_ahead(self._tables(advance)), shape), shape)
+                    joined.add(joined.write(0, looked_ahead(self._tables(advance)), shape), shape)
                 return
             with nullcontext(sys.stdout.buffer) if file is None else file.partial.open("wb") as stream:
                 if kind == "mcap":
@@ -178,10 +178,10 @@ class _Run:
         with self._output([piece.name for piece in pieces]) as file:
             assert file is not None
             with JoinedFile(file, self._kind, shape) as output:
-                workers = _workers(self._args, self._reading, output.sink, len(pieces))
+                workers = _workers(self._args, self._reading, output, len(pieces))
                 for written in InOrder(pieces, self._recording, shape, workers):
                     self.summary.append(written.summary)
-                    output.add(written.number, written.record, written.shape)
+                    output.add(written.record, written.shape)
                     advance(_size(written.piece))
 
     @contextmanager
@@ -272,18 +272,6 @@ def _progress(args: Namespace, names: Sequence[str]) -> Iterator[Callable[[float
         return
     with common.progress("bytes", total) as advance:
         yield advance
-
-
-def _positions(advance: Callable[[float], None]) -> Callable[[int], None]:
-    """Return what takes the position in the current log; a smaller one than before means the next log."""
-    before = 0
-
-    def move(position: int) -> None:
-        nonlocal before
-        advance(position - before if position >= before else position)
-        before = position
-
-    return move
 
 
 def _looked_ahead(tables: Iterable[Table]) -> Iterator[Table]:

@@ -27,7 +27,6 @@ from tipforce.errors import RefusedError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.network.bus import Bus
-from tipforce.host.network.finger import FingertipClient
 from tipforce.scene.delivered import structure_calibration
 from tipforce.sensor.contact import estimate as contact_model
 from tipforce.sensor.contact.estimate import force_vector
@@ -153,13 +152,13 @@ def _nodes(seed: int) -> Iterator[Bus]:
 
 def _calibrate(connection: Bus, node_id: int, calibration: Calibration, say: Callable[[str], None]) -> None:
     """Write, verify and store; then reset the node, so that it uses the stored calibration."""
-    client = FingertipClient(connection.sdo(node_id))
+    finger = connection.finger(node_id)
     prefix = f"node {node_id}, case {CASES[node_id - 1]}, {'pull' if calibration.pull else 'push'}: "
-    client.apply_calibration(calibration, on_step=lambda step: say(prefix + step))
+    finger.apply_calibration(calibration, on_step=lambda step: say(prefix + step))
     connection.buffer.clear()
     connection.nmt("reset-node", node_id)
     connection.wait_for({codes.HEARTBEAT_BASE + node_id})
-    differences = client.verify_calibration(calibration)
+    differences = finger.verify_calibration(calibration)
     if differences:
         raise RefusedError(f"node {node_id} lost its calibration in a reset: {differences[0]}")
     say(prefix + f"after a reset the stored calibration is active (CRC-32 0x{calibration.crc32():08X})")

@@ -23,8 +23,7 @@ from tipforce.errors import TipforceError
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, range_of_bits
 from tipforce.host.network.find import find_nodes
-from tipforce.host.network.interfaces import Link, interfaces, links
-from tipforce.host.network.open_bus import open_bus
+from tipforce.host.network.interfaces import Link, interfaces, links, open_bus
 from tipforce.sources import iio_buffer, iio_sysfs
 from tipforce.watching.findings import RATE, Finding, Observed, findings, of_the_wire, shown
 

@@ -116,6 +116,9 @@ def condition(dut: Dut) -> None:
     stage(dut, record(dut, x2100_1=4 * NEWTONS_PER_STRAIN))
     condition = dut.number("f", 0x2102, 5)
     check(abs(condition - 4.0) <= 1e-4, "4", str(condition))
+    dut.put("f", 0x2100, 1, 0.0)
+    dut.holds("f", 0x2102, 5, math.inf)
+    dut.refuses("f", 0x2102, 5, 1.0, Abort.READ_ONLY)
 
 
 @calibration("2104h: a commit activates: CRC, generation, 2140h, status bit 1")

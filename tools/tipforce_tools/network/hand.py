@@ -73,7 +73,7 @@ def _check(args: argparse.Namespace, file: HandFile) -> int:
     from tipforce.host.hand.bring_up import wanted_settings
     from tipforce.host.network.bus import Bus
     from tipforce.host.network.find import find_nodes
-    from tipforce.host.network.open_bus import open_bus
+    from tipforce.host.network.interfaces import open_bus
     from tipforce.watching.findings import MISSING, Observed, findings
 
     for finger in file.finger:

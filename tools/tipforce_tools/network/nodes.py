@@ -177,7 +177,7 @@ def add_nmt_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_nmt(args: argparse.Namespace) -> int:
     """Send the command; with --wait print the states. Raises NoResponseError after printing those that are reached."""
-    from tipforce.host.network.nmt import NotReachedError, command_and_wait
+    from tipforce.host.network.bus import NotReachedError, command_and_wait
 
     if args.wait is not None and not args.ids:
         raise InputError("nmt all --wait: needs node-ids, for example 1-5")

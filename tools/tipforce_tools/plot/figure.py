@@ -14,11 +14,10 @@ import numpy as np
 from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.host.dataset.reader import tables_of_logs
-from tipforce.host.decoding.log_part import Notes
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import Table
-from tipforce.host.logs.notes import no_sample
+from tipforce.host.logs.notes import LogNotes, no_sample
 from tipforce.output_file import FIGURES, check_output, figure_kind, save_figure
 from tipforce.samples.reasons import BY_NAME
 from tipforce_tools.cli import common, log_choice
@@ -113,7 +112,7 @@ def _signals(wanted: Iterable[str], layouts: Layouts, computed: frozenset[str]) 
     return frozenset(signals)
 
 
-def _check(args: Namespace, fingers: Fingers, notes: Sequence[Notes]) -> None:
+def _check(args: Namespace, fingers: Fingers, notes: Sequence[LogNotes]) -> None:
     names = ", ".join(log.source for log in notes)
     count = len(fingers.named())
     if not count:

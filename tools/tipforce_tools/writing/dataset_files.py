@@ -7,6 +7,7 @@ import os
 import uuid
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import reduce
 from itertools import groupby, pairwise
@@ -62,21 +63,18 @@ class DatasetSink:
     def _files(self, store: Store, scratch: Path, name: str, tables: Iterable[Table], shape: Shape) -> list[DataFile]:
         parts: dict[str, Parts] = {}  # by path in the dataset, as the files
         files: dict[str, DataFile] = {}
-        schema: Any = None
-        try:
+        with ExitStack() as stack:
             for table in tables:
                 from tipforce_tools.writing.parquet import Parts, arrow_table  # not before there are rows
 
                 shape.fits(table)
-                if schema is None or len(schema) + 1 != len(shape.base) + len(shape.columns):
-                    schema = rows_schema(shape)
                 order, cuts = _partitions(table)
                 ordered = replace(table, t_ns=table.t_ns // 1000 * 1000).take(order)  # as the file has it
-                rows = arrow_table(ordered, schema)
+                rows = arrow_table(ordered, rows_schema(shape))
                 for start, end in pairwise(cuts):
                     path = f"{_place(ordered, start, self._hand)}/{name}.parquet"
                     if path not in parts:
-                        parts[path] = Parts(scratch / f"{name}-{len(parts)}")
+                        parts[path] = stack.enter_context(Parts(scratch / f"{name}-{len(parts)}"))
                     parts[path].add(rows.slice(start, end - start))
                     times = ordered.t_ns[start:end]
                     file = DataFile(
@@ -86,11 +84,7 @@ class DatasetSink:
             for path, part in parts.items():
                 part.finish(rows_schema(shape), shape.channel)
                 files[path] = put_file(store, part.path, files[path])
-            return list(files.values())
-        except BaseException:
-            for part in parts.values():
-                part.abort()
-            raise
+        return list(files.values())
 
 
 def rows_schema(shape: Shape) -> Any:
@@ -214,17 +208,13 @@ def _joined_files(
     schema = parquet.EVENTS if _of_events(path) else rows_schema(shape)
     with store.scratch(f"{FOLDER}/{path.rpartition('-')[2].removesuffix('.parquet')}") as folder:
         scratch = folder / "joined"
-        parts = parquet.Parts(scratch)
-        try:
+        with parquet.Parts(scratch) as parts:
             for place, some in groupby((file for _, file in files), key=lambda file: file.path):
                 with damage_named(store, place), store.open(place) as stream:
                     rows = parquet.widened(pq.ParquetFile(stream).read(), schema, "")
                 for file in some:
                     parts.add(rows.slice(file.first_row, file.rows))
             parts.finish(schema, "")
-        except BaseException:
-            parts.abort()
-            raise
         written = put_file(store, scratch, msgspec.structs.replace(files[0][1], path=path, first_row=0))
     for number, same in groupby(files, key=lambda numbered: numbered[0]):
         whole = reduce(lambda before, file: file.joined(before), [file for _, file in same])

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import pyarrow as pa
@@ -103,15 +103,11 @@ def events_table(events: Sequence[BusEvent]) -> pa.Table:
 
 def write_part(path: Path, tables: Iterable[Table], shape: Shape) -> None:
     """Write one file with at least the columns of ``shape``, which grows by those of the tables. Raises OSError."""
-    parts = Parts(path)
-    try:
+    with Parts(path) as parts:
         for table in tables:
             shape.fits(table)
             parts.add(arrow_table(table, schema_of(shape)))
         parts.finish(schema_of(shape), shape.channel)
-    except BaseException:
-        parts.abort()
-        raise
 
 
 def join_widened(paths: Sequence[Path], output: Path, schema: Any, channel: str) -> None:
@@ -124,7 +120,7 @@ def join_widened(paths: Sequence[Path], output: Path, schema: Any, channel: str)
 
 
 class Parts:
-    """One file being written. New columns begin a new part; at the end the parts are merged.
+    """One file to write. New columns begin a new part; ``finish`` merges the parts, an error in ``with`` drops them.
 
     A thread encodes a row group while the next one is gathered: pyarrow does it without the interpreter's lock.
     """
@@ -137,6 +133,16 @@ class Parts:
         self._rows = 0
         self._thread = ThreadPoolExecutor(1)
         self._encoded: Future[None] | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None:
+            with suppress(OSError, pa.ArrowException):
+                self._end_part()
+            for path in [*self._paths, self.path.with_name(f"{self.path.name}.whole")]:
+                path.unlink(missing_ok=True)
 
     def add(self, rows: Any) -> None:
         """Append rows; they are written in large row groups."""
@@ -179,20 +185,12 @@ class Parts:
     def finish(self, schema: Any, channel: str) -> None:
         """Write the pending rows; merge the parts, with ``channel`` for rows that had only one."""
         self._write()
-        if self._writer is not None and len(self._paths) == 1 and self._writer.schema == schema:
-            self._end_part()
-            return
+        complete = self._writer is not None and len(self._paths) == 1 and self._writer.schema == schema
         self._end_part()
-        whole = self.path.with_name(f"{self.path.name}.whole")
-        join_widened(self._paths, whole, schema, channel)
-        whole.replace(self.path)
-
-    def abort(self) -> None:
-        """Close and remove the parts."""
-        with suppress(OSError, pa.ArrowException):
-            self._end_part()
-        for path in [*self._paths, self.path.with_name(f"{self.path.name}.whole")]:
-            path.unlink(missing_ok=True)
+        if not complete:
+            whole = self.path.with_name(f"{self.path.name}.whole")
+            join_widened(self._paths, whole, schema, channel)
+            whole.replace(self.path)
 
 
 def _open(path: Path, schema: Any) -> Any:

@@ -34,9 +34,10 @@ def append_bytes(path: Path, start: int, end: int, out: BinaryIO) -> None:
 
 
 _MAGIC = b"PAR1"
-_TRUE, _FALSE, _BINARY, _LIST, _STRUCT = 1, 2, 8, 9, 12
+_BINARY, _LIST, _STRUCT = 8, 9, 12
+_BOOLEANS = (1, 2)  # true and false: in a struct the type is the value
 _INTEGERS = (4, 5, 6)
-_BYTES = {_TRUE: 1, _FALSE: 1, 3: 1, 7: 8}
+_BYTES = {1: 1, 2: 1, 3: 1, 7: 8}
 """Sizes of values that are kept as they are: booleans in a list, bytes, doubles."""
 
 Struct = dict[int, tuple[int, Any]]
@@ -74,7 +75,7 @@ def join(paths: Sequence[Path], out: BinaryIO) -> None:
     assert whole is not None
     whole[_NUM_ROWS] = whole[_NUM_ROWS][0], rows
     whole[_ROW_GROUPS] = _LIST, (_STRUCT, groups)
-    text = _struct_bytes(whole)
+    text = _written(_STRUCT, whole)
     out.write(text + struct.pack("<I", len(text)) + _MAGIC)
 
 
@@ -87,7 +88,7 @@ def _footer(path: Path) -> tuple[Struct, int]:
         if magic != _MAGIC or length + 12 > size:
             raise ValueError(f"{path}: not a whole Parquet file")
         file.seek(size - 8 - length)
-        return _read_struct(io.BytesIO(file.read(length))), size - 8 - length
+        return _read(io.BytesIO(file.read(length)), _STRUCT), size - 8 - length
 
 
 def _move(group: Struct, by: int, ordinal: int) -> None:
@@ -112,83 +113,62 @@ def _add(fields: Struct, which: Sequence[int], by: int) -> None:
 
 
 def _read_varint(data: BinaryIO) -> int:
-    found = shift = 0
+    number = shift = 0
     while True:
         byte = data.read(1)[0]
-        found |= (byte & 0x7F) << shift
+        number |= (byte & 0x7F) << shift
         if byte < 0x80:
-            return found
+            return number
         shift += 7
 
 
-def _read_integer(data: BinaryIO) -> int:
-    number = _read_varint(data)
-    return number >> 1 ^ -(number & 1)
-
-
-def _read_struct(data: BinaryIO) -> Struct:
-    """Read fields up to the stop."""
-    found: Struct = {}
-    field = 0
-    while head := data.read(1)[0]:
-        field = field + (head >> 4) if head >> 4 else _read_integer(data)
-        kind = head & 15
-        found[field] = kind, kind == _TRUE if kind in (_TRUE, _FALSE) else _read_value(data, kind)
-    return found
-
-
-def _read_value(data: BinaryIO, kind: int) -> Any:
+def _read(data: BinaryIO, kind: int) -> Any:
     if kind in _INTEGERS:
-        return _read_integer(data)
+        number = _read_varint(data)
+        return number >> 1 ^ -(number & 1)
     if kind == _BINARY:
         return data.read(_read_varint(data))
-    if kind == _STRUCT:
-        return _read_struct(data)
     if kind == _LIST:
         head = data.read(1)[0]
         count = head >> 4 if head >> 4 < 15 else _read_varint(data)
-        return head & 15, [_read_value(data, head & 15) for _ in range(count)]
+        return head & 15, [_read(data, head & 15) for _ in range(count)]
+    if kind == _STRUCT:
+        fields: Struct = {}
+        field = 0
+        while head := data.read(1)[0]:
+            field = field + (head >> 4) if head >> 4 else _read(data, _INTEGERS[0])
+            of = head & 15
+            fields[field] = of, b"" if of in _BOOLEANS else _read(data, of)
+        return fields
     if kind in _BYTES:
         return data.read(_BYTES[kind])
     raise ValueError(f"Thrift type {kind} in a Parquet footer")
 
 
-def _struct_bytes(fields: Struct) -> bytes:
-    out = bytearray()
-    before = 0
-    for field, (given, value) in sorted(fields.items()):
-        kind = (_TRUE if value else _FALSE) if given in (_TRUE, _FALSE) else given
-        step = field - before
-        out += bytes([step << 4 | kind]) if 0 < step < 16 else bytes([kind]) + _integer_bytes(field)
-        before = field
-        if kind not in (_TRUE, _FALSE):
-            out += _value_bytes(kind, value)
-    return bytes(out) + b"\0"
-
-
-def _value_bytes(kind: int, value: Any) -> bytes:
-    if kind in _INTEGERS:
-        return _integer_bytes(value)
-    if kind == _BINARY:
-        return _varint_bytes(len(value)) + bytes(value)
-    if kind == _STRUCT:
-        return _struct_bytes(value)
-    if kind == _LIST:
-        of, values = value
-        count = len(values)
-        head = bytes([count << 4 | of]) if count < 15 else bytes([0xF0 | of]) + _varint_bytes(count)
-        return head + b"".join(_value_bytes(of, one) for one in values)
-    return bytes(value)
-
-
-def _integer_bytes(number: int) -> bytes:
-    return _varint_bytes(number << 1 if number >= 0 else (-number << 1) - 1)
-
-
-def _varint_bytes(number: int) -> bytes:
+def _varint(number: int) -> bytes:
     out = bytearray()
     while number > 0x7F:
         out.append(number & 0x7F | 0x80)
         number >>= 7
     out.append(number)
     return bytes(out)
+
+
+def _written(kind: int, value: Any) -> bytes:
+    if kind in _INTEGERS:
+        return _varint(value << 1 if value >= 0 else (-value << 1) - 1)
+    if kind == _BINARY:
+        return _varint(len(value)) + bytes(value)
+    if kind == _LIST:
+        of, values = value
+        head = bytes([len(values) << 4 | of]) if len(values) < 15 else bytes([0xF0 | of]) + _varint(len(values))
+        return head + b"".join(_written(of, each) for each in values)
+    if kind == _STRUCT:
+        out, before = bytearray(), 0
+        for field, (of, content) in sorted(value.items()):
+            step = field - before
+            out += bytes([step << 4 | of]) if 0 < step < 16 else bytes([of]) + _written(_INTEGERS[0], field)
+            out += _written(of, content)
+            before = field
+        return bytes(out) + b"\0"
+    return bytes(value)

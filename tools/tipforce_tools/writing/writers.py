@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import glob
 import os
+import tempfile
 from collections.abc import Iterable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -85,8 +87,10 @@ class Shape:
         return not begun or not (new or several)
 
 
-def lines_of(table: Table, kind: str, base: tuple[str, ...]) -> bytes:
-    """Format JSON lines or text, with the channel where there are several."""
+def lines_of(table: Table, kind: str, base: tuple[str, ...], columns: tuple[Column | str, ...]) -> bytes:
+    """Format CSV with these columns, or JSON lines or text, with the channel where there are several."""
+    if kind == "csv":
+        return text_rows.csv_rows(table, (*base, *columns))
     if len(table.channels) > 1 and CHANNEL not in base:
         base = (base[0], CHANNEL, *base[1:])
     if kind == "jsonl":
@@ -99,77 +103,60 @@ class StreamWriter:
 
     def __init__(self, stream: BinaryIO, kind: str, base: tuple[str, ...]) -> None:
         self._stream, self._kind, self._shape = stream, kind, Shape(base)
-        self._shown: tuple[Column | str, ...] = ()
+        self._shown: tuple[Column | str, ...] | None = None
         self.left_out: set[str] = set()
 
     def write(self, table: Table) -> None:
         """Append the rows of a table. CSV keeps its first columns: ``left_out`` names the others. Raises OSError."""
-        self._shape.fits(table)
-        self._stream.write(lines_of(table, self._kind, self._shape.base) if self._kind != "csv" else self._csv(table))
+        shape, is_csv = self._shape, self._kind == "csv"
+        shape.fits(table)
+        header = text_rows.csv_header((*shape.base, *shape.columns)) if is_csv and self._shown is None else b""
+        self._shown = shape.columns if self._shown is None else self._shown
+        self._stream.write(header + lines_of(table, self._kind, shape.base, self._shown))
         self._stream.flush()
-
-    def _csv(self, table: Table) -> bytes:
-        start = b""
-        if not self._shown:
-            self._shown = (*self._shape.base, *self._shape.columns)
-            start = text_rows.csv_header(self._shown)
-        self.left_out |= {text_rows.name_of(column) for column in self._shape.columns if column not in self._shown}
-        return start + text_rows.csv_rows(table, self._shown)
+        if is_csv:
+            self.left_out |= {text_rows.name_of(column) for column in shape.columns if column not in self._shown}
 
 
 Pieces = list[tuple[int, int]]
 """From which byte of a part on rows have how many columns."""
 
 
-class PartFile:
-    """Writes a part beside the output, in its format."""
-
-    def __init__(self, output: Path, kind: str) -> None:
-        self._output, self._kind = output, kind
-
-    def path(self, number: int) -> Path:
-        """Return the file of a part."""
-        return self._output.with_name(f"{self._output.name}.{number}")
-
-    def write(self, number: int, tables: Iterable[Table], shape: Shape) -> Pieces:
-        """Write the rows."""
-        if self._kind == "parquet":
-            from tipforce_tools.writing import parquet
-
-            parquet.write_part(self.path(number), tables, shape)
-            return [(0, len(shape.columns))]
-        pieces: Pieces = []
-        with self.path(number).open("wb") as file:
-            for table in tables:
-                if (not shape.fits(table) and self._kind == "csv") or not pieces:
-                    if self._kind == "csv" and not pieces and number == 0:  # the header, if this is the whole file
-                        file.write(text_rows.csv_header((*shape.base, *shape.columns)))
-                    pieces.append((file.tell(), len(shape.columns)))
-                if self._kind == "csv":
-                    file.write(text_rows.csv_rows(table, (*shape.base, *shape.columns)))
-                else:
-                    file.write(lines_of(table, self._kind, shape.base))
-        return pieces
-
-
 class JoinedFile:
-    """One output from the files of its parts, which come in order: joined at the end of a ``with`` block."""
+    """One output from the files of its parts, in order, which any process may write; a ``with`` block joins them."""
 
     def __init__(self, file: NewFile, kind: str, shape: Shape) -> None:
         self._partial, self._kind, self._shape = file.partial, kind, shape
         self._beside = file.partial.absolute()
         self._renamed = file.partial != file.path
         if not self._renamed:  # a device or a pipe
-            import tempfile
-
             self._beside = Path(tempfile.gettempdir(), f".{file.path.name}.{os.getpid()}.part")
-        self.sink = PartFile(self._beside, kind)
-        self._parts: list[tuple[Path, Pieces]] = []
+        self._parts: list[Pieces] = []
 
-    def add(self, number: int, pieces: Pieces, shape: Shape) -> None:
+    def _path(self, number: int) -> Path:
+        return self._beside.with_name(f"{self._beside.name}.{number}")
+
+    def write(self, number: int, tables: Iterable[Table], shape: Shape) -> Pieces:
+        """Write the rows of a part beside the output, in its format."""
+        if self._kind == "parquet":
+            from tipforce_tools.writing import parquet
+
+            parquet.write_part(self._path(number), tables, shape)
+            return [(0, len(shape.columns))]
+        pieces: Pieces = []
+        with self._path(number).open("wb") as file:
+            for table in tables:
+                if (not shape.fits(table) and self._kind == "csv") or not pieces:
+                    if self._kind == "csv" and not pieces and number == 0:  # the header, if this is the whole file
+                        file.write(text_rows.csv_header((*shape.base, *shape.columns)))
+                    pieces.append((file.tell(), len(shape.columns)))
+                file.write(lines_of(table, self._kind, shape.base, shape.columns))
+        return pieces
+
+    def add(self, pieces: Pieces, shape: Shape) -> None:
         """Take the next part; ``shape``: its columns, and those of the parts in front."""
         self._shape = shape
-        self._parts.append((self.sink.path(number), pieces))
+        self._parts.append(pieces)
 
     def __enter__(self) -> Self:
         return self
@@ -178,36 +165,29 @@ class JoinedFile:
         """Join the parts, unless an error occurred, and remove them. Raises OSError."""
         try:
             if kind is None:
-                self._join()
+                self._join([self._path(number) for number in range(len(self._parts))])
         finally:
-            for path in self._beside.parent.glob(f"{self._beside.name}.*"):
+            for path in self._beside.parent.glob(f"{glob.escape(self._beside.name)}.*"):
                 path.unlink()
 
-    def _join(self) -> None:
-        (path, pieces), *others = self._parts
-        if not others and [count for _, count in pieces] == [len(self._shape.columns)] and self._renamed:
-            path.replace(self._partial)
-        elif self._kind == "parquet":
-            self._join_parquet()
-        else:
-            with self._partial.open("wb") as out:
-                if self._kind == "csv":
-                    out.write(text_rows.csv_header((*self._shape.base, *self._shape.columns)))
-                for path, pieces in self._parts:
-                    self._append(path, pieces, out)
-                    path.unlink()
-
-    def _join_parquet(self) -> None:
-        paths = [path for path, _ in self._parts]
-        if any(count < len(self._shape.columns) for _, pieces in self._parts for _, count in pieces):
+    def _join(self, paths: list[Path]) -> None:
+        shape, widths = self._shape, [width for pieces in self._parts for _, width in pieces]
+        if len(paths) == 1 and widths == [len(shape.columns)] and self._renamed:
+            paths[0].replace(self._partial)
+        elif self._kind == "parquet" and min(widths) < len(shape.columns):
             from tipforce_tools.writing import parquet  # its import costs time
 
-            parquet.join_widened(paths, self._partial, parquet.schema_of(self._shape), self._shape.channel)
-            return
-        with self._partial.open("wb") as out:
-            parquet_join.join(paths, out)
-        for path in paths:
-            path.unlink()
+            parquet.join_widened(paths, self._partial, parquet.schema_of(shape), shape.channel)
+        else:
+            with self._partial.open("wb") as out:
+                if self._kind == "parquet":
+                    parquet_join.join(paths, out)
+                    return
+                if self._kind == "csv":
+                    out.write(text_rows.csv_header((*shape.base, *shape.columns)))
+                for path, pieces in zip(paths, self._parts, strict=True):
+                    self._append(path, pieces, out)
+                    path.unlink()
 
     def _append(self, path: Path, pieces: Pieces, out: BinaryIO) -> None:
         """Append the rows of a part; those of CSV with empty cells for columns that came later."""

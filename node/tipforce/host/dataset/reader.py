@@ -14,7 +14,7 @@ import numpy as np
 from tipforce.errors import EnvironmentLackError, InputError, LogError
 from tipforce.host.dataset.store import Store, is_dataset, local_copy
 from tipforce.host.decoding.counters import Tally
-from tipforce.host.decoding.log_part import Notes, Piece, Progress, Reading
+from tipforce.host.decoding.log_part import Piece, Progress, Reading
 from tipforce.host.decoding.recording import Recording, Tap
 from tipforce.host.decoding.sample_table import (
     NO_COUNTER,
@@ -26,6 +26,7 @@ from tipforce.host.decoding.sample_table import (
     is_missing,
     missing_of,
 )
+from tipforce.host.logs.notes import LogNotes
 from tipforce.host.logs.reader import open_log
 
 if TYPE_CHECKING:
@@ -94,10 +95,10 @@ def tally(manifest: Manifest) -> Tally:
     return total
 
 
-def notes(name: str, manifest: Manifest) -> Notes:
+def notes(name: str, manifest: Manifest) -> LogNotes:
     """Return the counts of frames and bad lines of all parts."""
     bad: Counter[str] = sum((Counter(part.bad) for part in manifest.parts), Counter())
-    return Notes(name, sum(part.frames for part in manifest.parts), dict(bad))
+    return LogNotes(source=name, frames=sum(part.frames for part in manifest.parts), bad=dict(bad))
 
 
 def tables(name: str, reading: Reading) -> Iterator[Table]:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from canopen_device.core.codes import EMCY_BASE, HEARTBEAT_BASE, INITIALISING, NODE_ID_MASK, SYNC_COB_ID
+from canopen_device.core.codes import EMCY_BASE, HEARTBEAT_BASE, INITIALISING, NODE_ID_MASK
 from tipforce.arrays import BoolArray, IntArray, occurring
 from tipforce.dictionary import table as dictionary
 from tipforce.dictionary.signals import Message, Signal
@@ -29,7 +29,7 @@ from tipforce.host.decoding.sample_table import (
     flag,
     in_order,
 )
-from tipforce.host.frames.frame_array import FrameArray
+from tipforce.host.frames.frame_array import FrameArray, heartbeats_and_emcys
 from tipforce.samples import reasons
 
 ALL = 0xFFFF
@@ -137,23 +137,20 @@ class Health:
 
     def take(self, frames: FrameArray, decoded: Iterable[Samples] = ()) -> None:
         """Received frames, FRAME (n,): EMCY and boot-ups among them, and what was decoded of them."""
-        found: list[tuple[int, int, int | bytes]] = []  # row, node-id, 2124h or the frame's data
+        found: list[tuple[int, int, int | tuple[int, bytes]]] = []  # row, node-id, 2124h or a service
         for samples in decoded:
             words = packed(samples.columns)
             if words is not None:
                 rows = samples.row.tolist()
                 found += zip(rows, [samples.node_id] * len(rows), words.tolist(), strict=True)
-        function = frames["can_id"] & ~np.uint32(NODE_ID_MASK)
-        few = (function == HEARTBEAT_BASE) | ((function == EMCY_BASE) & (frames["can_id"] != SYNC_COB_ID))
-        for row in np.flatnonzero(few).tolist():
-            data = frames["data"][row][: frames["length"][row]].tobytes()
-            found.append((row, int(frames["can_id"][row]) & NODE_ID_MASK, data))
+        for row, function, node, data in heartbeats_and_emcys(frames):
+            found.append((row, node, (function, data)))
         for row, node, what in sorted(found, key=lambda one: one[0]):
             time = int(frames["t_ns"][row])
             if isinstance(what, int):
                 self.pdo(node, time, what)
             else:
-                self.service(node, time, int(function[row]), what)
+                self.service(node, time, *what)
 
 
 EMCY, STATE = "emcy", "nmt_state"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.lines import never
 from tipforce.host.logs.notes import BadLine
-from tipforce.host.logs.reader import LogReader, open_log
+from tipforce.host.logs.reader import LogReader
 
 
 class StrictError(InputError):
@@ -79,112 +79,60 @@ def _decoder(layouts: Layouts, services: bool) -> Decoder:
     return layouts.decoder(services=services)
 
 
-@dataclass(slots=True)
-class Notes:
-    """Notes on one log after it was read. ``goes_on``: it belongs to the same log as the part before.
-
-    ``first_bad_line`` is numbered within the part; ``lines`` is its number of lines.
-    """
-
-    source: str
-    frames: int = 0
-    bad: dict[str, int] = field(default_factory=dict)
-    first_bad: str | None = None
-    skipped: dict[str, int] = field(default_factory=dict)
-    channels: tuple[str, ...] = ()
-    timed: bool = True
-    goes_on: bool = False
-    first_bad_line: BadLine | None = None
-    lines: int = 0
-    extended: int = 0
-
-    def append(self, other: Notes) -> None:
-        """Add the notes of the next part of the same log."""
-        if self.first_bad is None and other.first_bad is not None:
-            line = other.first_bad_line
-            moved = line is not None and other.first_bad == str(line)
-            self.first_bad = str(numbered_from(self.lines, line)) if moved and line is not None else other.first_bad
-        self.frames += other.frames
-        self.extended += other.extended
-        self.lines += other.lines
-        for mine, more in ((self.bad, other.bad), (self.skipped, other.skipped)):
-            for reason, count in more.items():
-                mine[reason] = mine.get(reason, 0) + count
-        self.channels += tuple(name for name in other.channels if name not in self.channels)
-        self.timed = self.timed and other.timed
+Progress = Callable[[float], None]
+"""Takes the bytes of a log that are read since its last call."""
 
 
-def numbered_from(lines: int, bad: BadLine) -> BadLine:
-    """Return the bad line of a part with ``lines`` lines before it."""
-    return replace(bad, number=lines + bad.number)
-
-
-Progress = Callable[[int], None]
-
-
-class Source:
-    """The selected frames of one log, in blocks; ``notes`` are complete at the end."""
+class Source(LogReader):
+    """The selected frames of one log, in blocks; its notes, complete at the end, are on all frames."""
 
     def __init__(self, piece: Piece, reading: Reading, progress: Progress | None = None) -> None:
         """Open the log. Raises InputError if that fails."""
-        name = piece.name
+        super().__init__(
+            piece.name, strict=reading.strict, follow=reading.follow and piece.name != "-", deltas=reading.deltas,
+            part=(piece.start, piece.end), stop=reading.stop,
+        )  # fmt: skip
         self._reading = reading
         self._origin = reading.origin_ns
         self._progress = progress
-        self.log: LogReader = open_log(
-            name, strict=reading.strict, follow=reading.follow and name != "-", deltas=reading.deltas,
-            part=(piece.start, piece.end), stop=reading.stop,
-        )  # fmt: skip
-        self.notes = Notes(name, goes_on=piece.start > 0)
-
-    @property
-    def channels(self) -> list[str]:
-        """The interfaces, by number; grows during the iteration."""
-        return self.log.channels
 
     def __iter__(self) -> Iterator[FrameArray]:
-        with self.log as log:
-            try:
-                for block in self._blocks(log):
-                    self.notes.frames += len(block)
-                    frames = self._chosen(block)
-                    if self._progress is not None:
-                        self._progress(log.position)
-                    if len(frames):
-                        yield frames
-            finally:
-                self._take_notes(log)
+        """Yield blocks of frames, none empty. Raises InputError, StrictError."""
+        with self:
+            done = 0
+            for block in self._read():
+                frames = self._chosen(block)
+                if self._progress is not None:
+                    position = self.position  # a thread reads ahead
+                    self._progress(position - done)
+                    done = position
+                if len(frames):
+                    yield frames
 
-    def _blocks(self, log: LogReader) -> Iterator[FrameArray]:
+    def _read(self) -> Iterator[FrameArray]:
         try:
-            yield from log
+            yield from super().__iter__()
         except InputError as error:
-            if not self._reading.strict:
+            if not self.strict:
                 raise
             text = str(error)
-            name = "stdin" if self.notes.source == "-" else self.notes.source
+            name = "stdin" if self.source == "-" else self.source
             strict = StrictError(text if text.startswith(name) else f"{name}: {text}")
-            strict.bad, strict.goes_on = log.first_bad_line, self.notes.goes_on
+            strict.bad, strict.goes_on = self.first_bad_line, self.goes_on
             raise strict from None
-
-    def _take_notes(self, log: LogReader) -> None:
-        notes = self.notes
-        notes.bad, notes.first_bad, notes.skipped = dict(log.bad), log.first_bad, dict(log.skipped)
-        notes.channels, notes.timed = tuple(log.channels), log.timed
-        notes.first_bad_line, notes.lines, notes.extended = log.first_bad_line, log.lines, log.extended
 
     def _chosen(self, block: FrameArray) -> FrameArray:
         reading = self._reading
         if reading.start is not None or reading.end is not None:
             block = self._in_time(block, reading.start, reading.end)
         if reading.buses is not None:
-            wanted = np.array([name in reading.buses for name in self.log.channels] or [False])
+            wanted = np.array([name in reading.buses for name in self.channels] or [False])
             block = block.compress(wanted[block["channel"]])
         return block
 
     def _in_time(self, block: FrameArray, start: When | None, end: When | None) -> FrameArray:
-        if not self.log.timed:
-            raise InputError(f"{self.notes.source}: the log has no timestamps, so --from and --to are not possible")
+        if not self.timed:
+            raise InputError(f"{self.source}: the log has no timestamps, so --from and --to are not possible")
         if self._origin is None:
             self._origin = int(block["t_ns"][0])
         keep = np.ones(len(block), dtype=np.bool_)

@@ -13,7 +13,7 @@ import pickle
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any
 
@@ -23,12 +23,13 @@ from tipforce.errors import InputError
 from tipforce.host.decoding.counters import Counters, Tally, TallyRow
 from tipforce.host.decoding.duplicates import services
 from tipforce.host.decoding.health import HealthRows, joins
-from tipforce.host.decoding.log_part import Notes, Piece, Progress, Reading, Source, StrictError, numbered_from
+from tipforce.host.decoding.log_part import Piece, Progress, Reading, Source, StrictError
 from tipforce.host.decoding.sample_merger import OpenRows, SampleMerger, renumbered
 from tipforce.host.decoding.sample_rule import GAP_FRAMES, GAP_NS
 from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table, in_order
 from tipforce.host.decoding.services import BusEvent, BusEvents
 from tipforce.host.frames.frame_array import FRAME, MAX_CHANNELS, FrameArray
+from tipforce.host.logs.notes import LogNotes
 
 _STEP_FRAMES = 2048  # by which a head grows
 _HEAD_NS, _HEAD_FRAMES = 5 * GAP_NS, 5 * GAP_FRAMES  # in either a row of a few PDOs ends, and the wait for the next
@@ -45,7 +46,7 @@ class Told:
     """Results of a decode besides its tables."""
 
     tally: Tally
-    notes: list[Notes]
+    notes: list[LogNotes]
     unseen: list[tuple[str, int]] = field(default_factory=list)
     """Channel and node-id of the nodes of which nothing told bits 12 to 15 of 2124h; empty where none was asked for."""
     bus: BusEvents = field(default_factory=BusEvents)
@@ -81,7 +82,7 @@ class Passed:
     """What a part of a recording leaves: the ``state`` behind it, and what else is told of it."""
 
     state: State
-    notes: Notes
+    notes: LogNotes
     services: list[FrameArray]
     """All frames that ``BusEvents`` looks at; channels are numbered as in ``notes.channels``."""
     columns: Headers
@@ -142,26 +143,26 @@ class Recording:
     ) -> Iterator[Table]:
         """Read the next log, or part of one, in this process. Raises InputError, StrictError."""
         source = Source(piece, self.reading, progress)
-        before = self._merger.timed or not source.notes.goes_on
+        before = self._merger.timed or not source.goes_on
         try:
             for block in source:
                 if tap is not None:
                     tap(block, source.channels)
                 self.told.bus.add(block, source.channels)
-                self._merger.timed = before and source.log.timed
+                self._merger.timed = before and source.timed
                 for table in self._merger.tables(renumbered(block, self.numbers_of(source.channels))):
                     yield from self._finished(table)
         except StrictError as error:
             raise self.numbered(error) from None
         finally:
-            self._take_notes(source.notes)
+            self._take_notes(source)
 
     def numbered(self, error: StrictError) -> StrictError:
         """Return the error of a part with the line's number in the whole log."""
         before = self.told.notes[-1] if error.goes_on and self.told.notes else None
         if before is None or error.bad is None:
             return error
-        return StrictError(f"{before.source}: {numbered_from(before.lines, error.bad)}")
+        return StrictError(f"{before.source}: {error.bad.moved(before.lines)}")
 
     def finish(self) -> Iterator[Table]:
         """Yield the rows that are still open: the recording ends."""
@@ -206,11 +207,11 @@ class Recording:
         self.told.tally.append(self._merger.tally)
         self._merger.tally = Tally()
 
-    def _take_notes(self, notes: Notes) -> None:
+    def _take_notes(self, notes: LogNotes) -> None:
         if notes.goes_on and self.told.notes and self.told.notes[-1].source == notes.source:
             self.told.notes[-1].append(notes)
         else:
-            self.told.notes.append(replace(notes, bad={**notes.bad}, skipped={**notes.skipped}))
+            self.told.notes.append(notes.copy())
 
     def numbers_of(self, names: Iterable[str]) -> list[int]:
         """Return the numbers of interfaces; new ones are added. Raises InputError for too many."""
@@ -236,7 +237,7 @@ class DecodedPart:
         self._piece, self._reading = piece, reading
         source = Source(piece, reading)
         merger = SampleMerger(reading.decoder, source.channels, reading.wanted)
-        self.notes, self.services, self.kept = source.notes, list[FrameArray](), _Kept()
+        self.services, self.kept = list[FrameArray](), _Kept()
         self.head: list[FrameArray] = []
         self.behind_head: OpenRows | None = None
         """None for a part that is too short: it must be decoded after the others."""
@@ -244,7 +245,7 @@ class DecodedPart:
         self._again: _Kept | None = None  # all its rows, where they were decoded after the others
         for block in source:
             self.services.append(services(block))
-            merger.channels, merger.timed = source.channels, source.log.timed
+            merger.channels, merger.timed = source.channels, source.timed
             rest = block
             while self.behind_head is None and len(rest):
                 self.head.append(rest[:_STEP_FRAMES])
@@ -256,6 +257,7 @@ class DecodedPart:
                     self.head = [np.concatenate(self.head)]
             for table in merger.tables(rest) if len(rest) else ():
                 self.kept.add(table)
+        self.notes = source.copy()
         self.tail, self.tally = merger.open, merger.tally
         if self.behind_head is None:
             self.head.clear()

@@ -5,13 +5,14 @@ from __future__ import annotations
 import struct
 import threading
 import time
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from canopen_device.can_frame import raw_can_id
+from canopen_device.core import codes
 
 if TYPE_CHECKING:
     import can  # only for types: a candump log is read without its import time of 65 ms
@@ -52,6 +53,16 @@ def frame_array(frames: Iterable[RawFrame]) -> FrameArray:
     """Convert frames (t_ns, can_id, data of at most 8 bytes) to FRAME (n,); missing data bytes are zero."""
     rows = [(t_ns, can_id, len(data), 0, 0, 0, tuple(data.ljust(8, b"\0"))) for t_ns, can_id, data in frames]
     return np.array(rows, dtype=FRAME)
+
+
+def heartbeats_and_emcys(frames: FrameArray) -> Iterator[tuple[int, int, int, bytes]]:
+    """Yield row, function code, node-id and data of the heartbeats and EMCYs of any length among FRAME (n,)."""
+    can_id = frames["can_id"]
+    function = can_id & np.uint32(~codes.NODE_ID_MASK & 0xFFFFFFFF)
+    chosen = (function == codes.HEARTBEAT_BASE) | (function == codes.EMCY_BASE)
+    for row in np.flatnonzero(chosen & (can_id != function)).tolist():  # 0x080 is the SYNC
+        data = frames["data"][row, : frames["length"][row]].tobytes()
+        yield row, int(function[row]), int(can_id[row] & codes.NODE_ID_MASK), data
 
 
 def raw_frame(message: can.Message) -> RawFrame:

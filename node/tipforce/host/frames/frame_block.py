@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,10 @@ BIT_RATE_SWITCH, ERROR_STATE = 0x01, 0x02
 
 LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """The valid data lengths of an FD frame."""
+
+
+Frame: TypeAlias = tuple[int, int, int, bytes, int, bool, int | None]
+"""t_ns, can_id with SocketCAN's flags, length, data, index of the interface, sent, ``flags`` of CAN FD (else None)."""
 
 
 class FdFrame(NamedTuple):
@@ -72,18 +76,20 @@ class CandumpBlock:
         fd_rows = np.array([frame.row + number < count for number, frame in enumerate(self.fd)], dtype=np.bool_)
         return self.take(slice(count - int(fd_rows.sum())), fd_rows)
 
-    def in_order(self) -> Iterator[tuple[int, int, int, bytes, int, bool] | FdFrame]:
-        """Yield classic frames as (t_ns, can_id, length, data, interface, sent), and CAN FD frames in their places."""
-        frames, fd = self.frames, deque(self.fd)
+    def in_order(self) -> Iterator[Frame]:
+        """Yield all frames, CAN FD frames in their places."""
+        frames = self.frames
+        fd = deque((one.row, (*one[1:3], len(one.data), *one[4:], one.flags)) for one in self.fd)
         data = frames["data"].tobytes()
         sent = frames["flags"] & SENT != 0
         columns = (frames["t_ns"], frames["can_id"], frames["length"], frames["channel"], sent)
         rows = zip(*(column.tolist() for column in columns), strict=True)
         for row, (t_ns, can_id, length, interface, is_sent) in enumerate(rows):
-            while fd and fd[0].row <= row:
-                yield fd.popleft()
-            yield t_ns, can_id, length, data[8 * row : 8 * row + length], interface, is_sent
-        yield from fd
+            while fd and fd[0][0] <= row:
+                yield fd.popleft()[1]
+            yield t_ns, can_id, length, data[8 * row : 8 * row + length], interface, is_sent, None
+        for _, frame in fd:
+            yield frame
 
     def positions(self) -> npt.NDArray[np.intp]:
         """Return the position of each classic frame among all frames of the block: (n,)."""

@@ -23,11 +23,10 @@ from tipforce.host.decoding.duplicates import of_product
 from tipforce.host.hand.events import Event, Kind
 from tipforce.host.hand.file import FingerPlan, HandFile
 from tipforce.host.hand.meaning import set_overflow
-from tipforce.host.network.bus import Bus
+from tipforce.host.network.bus import Bus, command_and_wait
 from tipforce.host.network.find import FIND_S, responding_nodes
-from tipforce.host.network.finger import FingertipClient
+from tipforce.host.network.finger import Finger
 from tipforce.host.network.lss import LssAddress, LssMaster
-from tipforce.host.network.nmt import command_and_wait
 from tipforce.host.network.sdo import SdoChannel
 
 STEPS = ("find", "identity", "configure", "verify", "calibrate", "start")
@@ -123,23 +122,23 @@ def set_up(
     report: FingerReport,
     wanted: Configuration,
     on_event: OnEvent,
-    before_start: Callable[[FingertipClient], None] = lambda _client: None,
+    before_start: Callable[[Finger], None] = lambda _finger: None,
 ) -> None:
     """Run the steps from identity to start on a node with its node-id; also after a reboot. Errors go to the report."""
     plan, started_s = report.plan, time.monotonic()
-    client = FingertipClient(connection.sdo(plan.node_id))
+    finger = connection.finger(plan.node_id)
     written: Configuration = {}
 
     def configure() -> str:
-        written.update(apply_differences(client.sdo, wanted))
+        written.update(apply_differences(finger.sdo, wanted))
         return f"{len(wanted)} settings"
 
     steps: tuple[tuple[str, Kind, Callable[[], str | None]], ...] = (
-        ("identity", "found", lambda: _identity(client, plan)),
+        ("identity", "found", lambda: _identity(finger, plan)),
         ("configure", "configured", configure),
-        ("verify", "verified", lambda: _verify(client.sdo, written)),
-        ("calibrate", "calibrated", lambda: _calibrate(client, hand, report)),
-        ("start", "started", lambda: _start(connection, hand, client, before_start)),
+        ("verify", "verified", lambda: _verify(finger.sdo, written)),
+        ("calibrate", "calibrated", lambda: _calibrate(finger, hand, report)),
+        ("start", "started", lambda: _start(connection, hand, finger, before_start)),
     )
     for step, kind, act in steps:
         text = _attempt(report, step, act, on_event)
@@ -206,8 +205,8 @@ def _attempt(report: FingerReport, step: str, act: Callable[[], str | None], on_
     return text
 
 
-def _identity(client: FingertipClient, plan: FingerPlan) -> str:
-    identity = client.identity()
+def _identity(finger: Finger, plan: FingerPlan) -> str:
+    identity = finger.identity()
     if not identity.is_fingertip or identity.gauges != plan.gauges:
         raise InputError(f"product code 0x{identity.product:08X}: expected a fingertip of {plan.gauges} gauges")
     if plan.serial and identity.serial != plan.serial:
@@ -229,29 +228,27 @@ def _verify(sdo: SdoChannel, wanted: Configuration) -> None:
         )
 
 
-def _calibrate(client: FingertipClient, hand: HandFile, report: FingerReport) -> str:
+def _calibrate(finger: Finger, hand: HandFile, report: FingerReport) -> str:
     """Compare by CRC-32: an equal calibration is kept, any other is replaced; a node without one gets one."""
     plan = report.plan
     calibration = hand.calibration(plan)
-    active = client.sdo.read(objects.CALIBRATION_ACTIVE_CRC)
+    active = finger.sdo.read(objects.CALIBRATION_ACTIVE_CRC)
     if calibration is None:
         report.note = "" if active else NOT_CALIBRATED
         return report.note or f"its own calibration, CRC-32 0x{active:08X}"
-    if active == calibration.crc32() and not client.verify_calibration(calibration):
+    if active == calibration.crc32() and not finger.verify_calibration(calibration):
         return f"{plan.calibration}: CRC-32 0x{active:08X} is already active"
-    client.apply_calibration(calibration, store=hand.hand.store)
+    finger.apply_calibration(calibration, store=hand.hand.store)
     return f"{plan.calibration}: CRC-32 0x{calibration.crc32():08X} applied"
 
 
-def _start(
-    connection: Bus, hand: HandFile, client: FingertipClient, before_start: Callable[[FingertipClient], None]
-) -> str:
+def _start(connection: Bus, hand: HandFile, finger: Finger, before_start: Callable[[Finger], None]) -> str:
     if hand.hand.store:
-        overflow = set_overflow(client.sdo, 0)  # the numbering of SYNCs is never stored
-        client.store()
-        set_overflow(client.sdo, overflow)
-    before_start(client)
-    command_and_wait(connection, "start", [client.node_id], max(1.0, 5e-3 * hand.hand.heartbeat_ms))
+        overflow = set_overflow(finger.sdo, 0)  # the numbering of SYNCs is never stored
+        finger.store()
+        set_overflow(finger.sdo, overflow)
+    before_start(finger)
+    command_and_wait(connection, "start", [finger.node_id], max(1.0, 5e-3 * hand.hand.heartbeat_ms))
     return "operational"
 
 

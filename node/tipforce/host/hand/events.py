@@ -15,7 +15,7 @@ import numpy as np
 from canopen_device.core import codes
 from tipforce.dictionary.service_texts import emcy_text, state_text
 from tipforce.host.decoding.duplicates import DuplicateNodes
-from tipforce.host.frames.frame_array import FrameArray
+from tipforce.host.frames.frame_array import FrameArray, heartbeats_and_emcys
 
 Kind = Literal[
     "found", "assigned", "configured", "calibrated", "verified", "started", "failed",
@@ -69,18 +69,15 @@ class Supervisor:
             for duplicate in self._duplicates.add(frames[~sdo]):
                 if duplicate.node_id in self.states:
                     events.append(Event(now_s, duplicate.node_id, "duplicate", str(duplicate)))
-            services = frames["can_id"] & np.uint32(~codes.NODE_ID_MASK & 0xFFFFFFFF)
-            for frame in frames[(services == codes.HEARTBEAT_BASE) | (services == codes.EMCY_BASE)]:
-                node_id = int(frame["can_id"]) & codes.NODE_ID_MASK
-                if node_id in self.states:
-                    data = frame["data"][: frame["length"]].tobytes()
-                    heartbeat = int(frame["can_id"]) & ~codes.NODE_ID_MASK == codes.HEARTBEAT_BASE
-                    if heartbeat and len(data) == 1:
-                        events += self._heartbeat(node_id, data[0] & codes.NODE_ID_MASK, now_s)
-                    elif not heartbeat and len(data) == 8 and node_id:  # 0x080 is the SYNC
-                        code, register = struct.unpack_from("<HB", data)
-                        kind: Kind = "emcy" if code else "emcy_reset"
-                        events.append(Event(now_s, node_id, kind, emcy_text(code, register), code))
+            for _, function, node_id, data in heartbeats_and_emcys(frames):
+                if node_id not in self.states:
+                    continue
+                if function == codes.HEARTBEAT_BASE and len(data) == 1:
+                    events += self._heartbeat(node_id, data[0] & codes.NODE_ID_MASK, now_s)
+                elif function == codes.EMCY_BASE and len(data) == 8:
+                    code, register = struct.unpack_from("<HB", data)
+                    kind: Kind = "emcy" if code else "emcy_reset"
+                    events.append(Event(now_s, node_id, kind, emcy_text(code, register), code))
         for node_id, heard_s in list(self._heard_s.items()):
             # A node that has just booted sends heartbeats at its default rate until it is configured and started.
             unset = self.states[node_id] != codes.OPERATIONAL

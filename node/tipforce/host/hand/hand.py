@@ -36,7 +36,6 @@ from tipforce.host.hand.rows import Collector, Delivery, HandRow, HandRows, rows
 from tipforce.host.hand.trust import COUNTER
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
-from tipforce.host.network.finger import FingertipClient
 from tipforce.samples.record import RowContacts, Rows
 from tipforce.samples.rows import Tally
 from tipforce.samples.sync_numbers import LARGEST
@@ -180,7 +179,7 @@ class Hand:
         calibration = None if finger.node_id in self._accepted else self.file.calibration(finger)
         if calibration is None:
             with suppress(TipforceError):  # a finger that does not respond now
-                calibration = FingertipClient(self._link.connection.sdo(finger.node_id)).calibration()
+                calibration = self._link.connection.finger(finger.node_id).calibration()
         return calibration
 
     def blocks(self, timeout_s: float | None = None) -> HandRows[Rows]:

@@ -26,7 +26,7 @@ from tipforce.host.live.receive import open_receiver
 from tipforce.host.live.receiver import Receiver
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.find import responding_nodes
-from tipforce.host.network.open_bus import open_bus
+from tipforce.host.network.interfaces import open_bus
 from tipforce.samples.sync_numbers import LARGEST
 
 SERVICE_FILTERS = (

@@ -20,7 +20,7 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.configuration_file import Configuration, apply_differences
 from tipforce.host.configuration.device_objects import FingertipObjects, Place
 from tipforce.host.hand.trust import COMMANDED, COUNTER, SERIAL
-from tipforce.host.network.finger import FingertipClient
+from tipforce.host.network.finger import Finger
 from tipforce.host.network.sdo import SdoChannel
 
 _NO_EFFECT = (communication.VERIFY_CONFIGURATION,)  # the date of a configuration: settings that nothing follows
@@ -130,27 +130,25 @@ def needed(changes: Changes, wanted: Configuration) -> bool:
     return bool(communicated & (wanted.keys() | {objects.SYNC_COUNTER_OVERFLOW.key}))
 
 
-def write_back(
-    client: FingertipClient, gauges: int, before: Meaning, changes: Changes, calibration: Calibration | None
-) -> None:
+def write_back(finger: Finger, gauges: int, before: Meaning, changes: Changes, calibration: Calibration | None) -> None:
     """Undo the changes. Raises RefusedError for what cannot be written: see there."""
     if SERIAL in changes:
-        raise RefusedError(f"node {client.node_id}: it is another finger")
+        raise RefusedError(f"node {finger.node_id}: it is another finger")
     if _CALIBRATION in changes:
         if calibration is None or not _has(before, calibration):
-            raise RefusedError(f"node {client.node_id}: another calibration, and the hand file names none to restore")
-        client.apply_calibration(calibration, store=False)
+            raise RefusedError(f"node {finger.node_id}: another calibration, and the hand file names none to restore")
+        finger.apply_calibration(calibration, store=False)
     if _TARE & changes.keys():
         if any(before[place] for place in _TARE):
-            raise RefusedError(f"node {client.node_id}: its tare before cannot be set again; tare it by the hand")
-        client.clear_tare()
+            raise RefusedError(f"node {finger.node_id}: its tare before cannot be set again; tare it by the hand")
+        finger.clear_tare()
     objects_changed = {_with_mapping(index) for index, _ in changes}
     rest = {
         place: (entry, _value(entry, before[place]))
         for place, entry in sorted(watched(gauges).items())
         if place in before and entry.access == "rw" and _with_mapping(entry.index) in objects_changed
     }
-    apply_differences(client.sdo, rest)
+    apply_differences(finger.sdo, rest)
 
 
 def _with_mapping(index: int) -> int:

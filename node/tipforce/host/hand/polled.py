@@ -13,7 +13,6 @@ from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import Decoder, Samples
 from tipforce.host.network.bus import Bus
-from tipforce.host.network.finger import FingertipClient
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +46,7 @@ class PolledHand:
             raise InputError(f"node-ids {list(node_ids)}: allowed is each node-id once")
         self.connection = connection
         self.node_ids = tuple(node_ids)
-        self.fingers = {n: FingertipClient(connection.sdo(n)) for n in self.node_ids}
+        self.fingers = {n: connection.finger(n) for n in self.node_ids}
         self._expected = {bases[name] + n for name in messages for n in self.node_ids}
         self._decoder = Decoder(gauges, self.node_ids)
 

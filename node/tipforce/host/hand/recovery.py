@@ -22,10 +22,9 @@ from tipforce.host.hand.events import Event, Kind, Supervisor
 from tipforce.host.hand.file import HandFile
 from tipforce.host.hand.rows import Collector
 from tipforce.host.hand.trust import COUNTER
-from tipforce.host.network.bus import Bus
-from tipforce.host.network.finger import FingertipClient
+from tipforce.host.network.bus import Bus, command_and_wait
+from tipforce.host.network.finger import Finger
 from tipforce.host.network.lss import LssMaster
-from tipforce.host.network.nmt import command_and_wait
 
 LOST = 0
 """Node-id that represents all nodes without one."""
@@ -73,7 +72,7 @@ class Recovery:
         A finger that differs from the hand file is left without a meaning.
         """
         self._trust.hide(node_id)
-        self._number(FingertipClient(self._connection().sdo(node_id)))
+        self._number(self._connection().finger(node_id))
         self._learn(node_id)
 
     def restore(self, node_id: int) -> None:
@@ -83,12 +82,12 @@ class Recovery:
 
     def tare(self, node_id: int) -> str:
         """Tare a finger by the hand itself; return the tare as text. Raises as SdoChannel."""
-        client = FingertipClient(self._connection().sdo(node_id))
+        finger = self._connection().finger(node_id)
         known = self._trust.known(node_id)
         self._trust.hide(node_id)  # what changes now is not another's doing
         try:
-            client.tare()
-            F1, F2, F3 = client.tare_state().force_newtons
+            finger.tare()
+            F1, F2, F3 = finger.tare_state().force_newtons
             if known:
                 present = self._read(node_id)
                 if meaning.only_tare(meaning.differences(known, present)):  # else another's is to be decided on
@@ -146,10 +145,10 @@ class Recovery:
             self._silent.discard(node_id)
         return self._boots[node_id] > self._set_up.get(node_id, 0)
 
-    def _number(self, client: FingertipClient) -> None:
+    def _number(self, finger: Finger) -> None:
         if self.overflow is not None:
-            before = meaning.set_overflow(client.sdo, self.overflow)
-            self._overflow_before.setdefault(client.node_id, before)
+            before = meaning.set_overflow(finger.sdo, self.overflow)
+            self._overflow_before.setdefault(finger.node_id, before)
 
     def _learn(self, node_id: int, *, set_up_now: bool = False) -> bool:
         """Read what the values of a finger mean, and show them; return False if that is not as in the hand file.
@@ -201,8 +200,8 @@ class Recovery:
             return True
         if policy == "restore":
             try:
-                client = FingertipClient(self._connection().sdo(node_id))
-                meaning.write_back(client, plan.gauges, known, changes, self._file.calibration(plan))
+                finger = self._connection().finger(node_id)
+                meaning.write_back(finger, plan.gauges, known, changes, self._file.calibration(plan))
                 present = self._read(node_id)
                 if meaning.differences(known, present):
                     return False  # changed again meanwhile

@@ -12,6 +12,7 @@ import math
 import threading
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from canopen_device.core import codes, communication, emcy
@@ -69,7 +70,7 @@ class Finger:
     shown_row: int = 0
 
 
-_Handler = Callable[[Finger, int, float], None]
+_Handler = Callable[[int, float], None]
 
 
 class Trust:
@@ -82,8 +83,7 @@ class Trust:
     def __init__(self, node_ids: Sequence[int], answers: Mapping[int, int], health: Message, gauges: int) -> None:
         self.lock = threading.Lock()
         self.shown = [True] * len(node_ids)
-        self._node_ids = tuple(node_ids)
-        self._fingers = [Finger(n, k) for k, n in enumerate(node_ids)]
+        self._fingers = {node_id: Finger(node_id, k) for k, node_id in enumerate(node_ids)}
         self._answers = {health.cob_id_base + n: k for k, n in enumerate(node_ids)} | dict(answers)
         self._rows, self._real_rows = entries(gauges, True), entries(gauges)
         self._shift = next(s.start_bit for s in health.signals if s.index == indices.CONFIGURATION_COUNTER)
@@ -91,18 +91,18 @@ class Trust:
         self._commanded = frozenset((COUNTER, *(entry.key for entry in commanded)))
         self._row, self._row_s, self._period_s, self._now_s = 0, -math.inf, 0.0, 0.0
         self._is_whole = False  # the last row has the answers of all, which the fingers do not have yet
-        self._fixed: dict[int, tuple[_Handler, int, range]] = {
-            codes.NMT_COB_ID: (self._nmt, -1, range(2, 9)),
-            codes.LSS_REQUEST_COB_ID: (self._lss, -1, _ANY),
+        self._fixed: dict[int, tuple[_Handler, range]] = {
+            codes.NMT_COB_ID: (self._nmt, range(2, 9)),
+            codes.LSS_REQUEST_COB_ID: (self._lss, _ANY),
         }
-        for k, node_id in enumerate(node_ids):
+        for node_id, finger in self._fingers.items():
             self._fixed |= {
-                health.cob_id_base + node_id: (self._health, k, range(health.length_bytes, 9)),
-                codes.EMCY_BASE + node_id: (self._emcy, k, range(8, 9)),
-                codes.HEARTBEAT_BASE + node_id: (self._heartbeat, k, range(1, 2)),
-                codes.SDO_RESPONSE_BASE + node_id: (self._response, k, range(8, 9)),
-                codes.SDO_REQUEST_BASE + node_id: (self._request, k, _ANY),
-                codes.RPDO_BASES[0] + node_id: (self._command, k, _ANY),
+                health.cob_id_base + node_id: (partial(self._health, finger), range(health.length_bytes, 9)),
+                codes.EMCY_BASE + node_id: (partial(self._emcy, finger), range(8, 9)),
+                codes.HEARTBEAT_BASE + node_id: (partial(self._heartbeat, finger), range(1, 2)),
+                codes.SDO_RESPONSE_BASE + node_id: (partial(self._response, finger), range(8, 9)),
+                codes.SDO_REQUEST_BASE + node_id: (partial(self._request, finger), _ANY),
+                codes.RPDO_BASES[0] + node_id: (partial(self._command, finger), _ANY),
             }
         self.ids = dict(self._fixed)
 
@@ -111,12 +111,12 @@ class Trust:
     def hide(self, node_id: int) -> None:
         """Show no values before ``learn``: the hand configures the finger itself."""
         with self.lock:
-            self._at(node_id).hidden = True
+            self._fingers[node_id].hidden = True
             self._judge()
 
     def known(self, node_id: int) -> Mapping[Place, int]:
         """Return what a finger is known to send; nothing before ``learn``."""
-        return self._at(node_id).known
+        return self._fingers[node_id].known
 
     def learn(self, node_id: int, known: Mapping[Place, int], later: Collection[Place] = ()) -> None:
         """Show values while each object is seen as in ``known``, in frames that may still wait to be processed.
@@ -124,7 +124,7 @@ class Trust:
         ``later``: objects that are still to be read; values are shown meanwhile.
         """
         with self.lock:
-            finger = self._at(node_id)
+            finger = self._fingers[node_id]
             finger.known, finger.hidden, finger.changed, finger.announced = known, False, False, False
             finger.asked, finger.asked_s = frozenset(later).difference(finger.seen), self._now_s + _LATER_S
             finger.unsure = {place for place, value in known.items() if finger.seen.get(place) != value} - finger.asked
@@ -133,16 +133,16 @@ class Trust:
             finger.claims = {place: values for place, values in finger.claims.items() if values != {known.get(place)}}
             finger.pending, finger.due_s = bool(finger.unsure), self._now_s + _AGAIN_S
             self.ids = dict(self._fixed)
-            for other in self._fingers:
+            for other in self._fingers.values():
                 cob_id = other.known.get((communication.RPDO, 1), codes.COB_ID_INVALID)
                 if not cob_id & codes.COB_ID_INVALID:
-                    self.ids.setdefault(cob_id & codes.STANDARD_MASK, (self._command, other.column, _ANY))
+                    self.ids.setdefault(cob_id & codes.STANDARD_MASK, (partial(self._command, other), _ANY))
             self._judge()
 
     def refuse(self, node_id: int, changed: Collection[Place]) -> None:
         """Keep values unknown until these objects are seen as they are known."""
         with self.lock:
-            finger = self._at(node_id)
+            finger = self._fingers[node_id]
             finger.hidden, finger.pending, finger.changed, finger.announced = False, False, True, True
             finger.unsure |= set(changed)
             self._judge()
@@ -151,39 +151,39 @@ class Trust:
         """Make objects (None: all) of fingers unsure: another may have changed them unseen."""
         with self.lock:
             for node_id in node_ids:
-                finger = self._at(node_id)
+                finger = self._fingers[node_id]
                 self._doubt(finger, finger.known if places is None else places, -math.inf)
             self._judge()
 
     def give_up(self, node_id: int) -> None:
         """Do not verify a silent finger again before it sends; what is unsure remains so."""
         with self.lock:
-            self._at(node_id).pending = False
+            self._fingers[node_id].pending = False
 
     def unsure(self, node_id: int) -> list[Place]:
         """Return the objects to read; 2126h at least."""
         with self.lock:
-            finger = self._at(node_id)
+            finger = self._fingers[node_id]
             places, finger.asked = finger.unsure | finger.asked | {COUNTER}, frozenset()
             return sorted(places, key=lambda place: (place == COUNTER, place))
 
     def ask(self, node_id: int, places: Collection[Place]) -> None:
         """Read these objects with those that are unsure; values are shown meanwhile."""
         with self.lock:
-            finger = self._at(node_id)
+            finger = self._fingers[node_id]
             finger.asked = frozenset(place for place in places if place in finger.known)
 
     def changed(self, node_id: int) -> bool:
         """Return whether a change is to be decided on."""
         with self.lock:
-            return self._at(node_id).changed and self._at(node_id).pending
+            return self._fingers[node_id].changed and self._fingers[node_id].pending
 
     # --- for the thread that receives -----------------------------------------------------------------------------
 
     def take_changes(self) -> list[int]:
         """Return the fingers of which a change was seen since the last call."""
         with self.lock:
-            changed = [finger for finger in self._fingers if finger.changed and not finger.announced]
+            changed = [finger for finger in self._fingers.values() if finger.changed and not finger.announced]
             for finger in changed:
                 finger.announced = True
             return [finger.node_id for finger in changed]
@@ -192,7 +192,7 @@ class Trust:
         """Return the fingers to verify now: unsure ones, and those whose health PDO did not come for ``health_s``."""
         with self.lock:
             self._now_s, due = now_s, []
-            for finger in self._fingers:
+            for finger in self._fingers.values():
                 if not finger.known or finger.hidden:
                     finger.health_s = now_s
                     continue
@@ -206,14 +206,14 @@ class Trust:
     def take_asked(self, now_s: float) -> list[int]:
         """Return the fingers of which objects are to be read while values are shown; each once."""
         with self.lock:
-            asked = [finger for finger in self._fingers if finger.asked and now_s >= finger.asked_s]
+            asked = [finger for finger in self._fingers.values() if finger.asked and now_s >= finger.asked_s]
             for finger in asked:
                 finger.asked_s = math.inf
             return [finger.node_id for finger in asked]
 
     def shows(self, node_id: int) -> bool:
         """Return whether the values of a finger are shown."""
-        return self.shown[self._node_ids.index(node_id)]
+        return self.shown[self._fingers[node_id].column]
 
     def count_rows(self, reasons: Sequence[Sequence[int]], now_s: float) -> None:
         """Note the reasons of rows, by finger."""
@@ -224,7 +224,7 @@ class Trust:
                 return
             self._note_whole(len(reasons))
             self._period_s, self._row_s = min(now_s - self._row_s, 10.0), now_s
-            for finger, of_finger in zip(self._fingers, zip(*reasons, strict=True), strict=True):
+            for finger, of_finger in zip(self._fingers.values(), zip(*reasons, strict=True), strict=True):
                 if PRESENT in of_finger:
                     finger.shown_row = self._row
                 if of_finger.count(NO_RESPONSE) < len(of_finger) or not self.shown[finger.column]:
@@ -233,7 +233,7 @@ class Trust:
     def _note_whole(self, later_rows: int = 0) -> None:
         if self._is_whole:
             self._is_whole, row = False, self._row - later_rows
-            for finger in self._fingers:
+            for finger in self._fingers.values():
                 finger.shown_row = finger.answered_row = row
                 finger.answered_s, finger.unanswered = self._row_s, False
 
@@ -243,7 +243,7 @@ class Trust:
             self._note_whole()
             silent = [
                 finger
-                for finger in self._fingers
+                for finger in self._fingers.values()
                 if self.shown[finger.column]
                 and not finger.unanswered
                 and self._row - finger.answered_row >= _UNANSWERED_ROWS
@@ -259,30 +259,31 @@ class Trust:
             self._note_whole()
             come = now_s - self._row_s < max(_SETTLED_S, 3.0 * self._period_s)
             return come and all(
-                self.shown[finger.column] and self._row - finger.shown_row < _SETTLED_ROWS for finger in self._fingers
+                self.shown[finger.column] and self._row - finger.shown_row < _SETTLED_ROWS
+                for finger in self._fingers.values()
             )
 
     def note(self, can_id: int, length: int, word: int, now_s: float) -> None:
         """Process a frame whose identifier is in ``ids``; ``word`` is its data, little-endian."""
-        handle, k, lengths = self.ids[can_id]
+        handle, lengths = self.ids[can_id]
         if length in lengths:
-            handle(self._fingers[k], word, now_s)
+            handle(word, now_s)
             self._judge()
 
     # --- frames -----------------------------------------------------------------------------------------------------
 
-    def _nmt(self, _finger: Finger, word: int, now_s: float) -> None:
+    def _nmt(self, word: int, now_s: float) -> None:
         command, node_id = word & 0xFF, word >> 8 & 0xFF
-        for finger in self._fingers:
+        for finger in self._fingers.values():
             if node_id in (0, finger.node_id):
                 restarts = command in (codes.NMT_RESET_NODE, codes.NMT_RESET_COMMUNICATION)
                 if restarts:
                     self._forget(finger)
                 self._doubt(finger, (COUNTER,), now_s, DECIDE_S if restarts else VERIFY_S)
 
-    def _lss(self, _finger: Finger, word: int, now_s: float) -> None:
+    def _lss(self, word: int, now_s: float) -> None:
         if word & 0xFF in _LSS_CONFIGURES:  # of which node the frame does not say
-            for finger in self._fingers:
+            for finger in self._fingers.values():
                 self._doubt(finger, (SERIAL, COUNTER), now_s)
 
     def _command(self, finger: Finger, word: int, now_s: float) -> None:
@@ -291,7 +292,7 @@ class Trust:
 
     def _emcy(self, _finger: Finger, word: int, now_s: float) -> None:
         if word & 0xFFFF == emcy.COB_ID_COLLISION:  # of two senders one may be another finger
-            for finger in self._fingers:
+            for finger in self._fingers.values():
                 self._doubt(finger, {COUNTER, SERIAL, *filter(_sends, finger.known)}, now_s)
 
     def _heartbeat(self, finger: Finger, word: int, _now_s: float) -> None:
@@ -351,9 +352,6 @@ class Trust:
 
     # --- judgement --------------------------------------------------------------------------------------------------
 
-    def _at(self, node_id: int) -> Finger:
-        return self._fingers[self._node_ids.index(node_id)]
-
     def _doubt(self, finger: Finger, places: Collection[Place], now_s: float, after_s: float = VERIFY_S) -> None:
         """Make objects unsure until they are read."""
         if not places:
@@ -388,13 +386,13 @@ class Trust:
             finger.pending |= finger.changed and not finger.unsure
 
     def _judge(self) -> None:
-        for finger in self._fingers:  # another one may send what is taken for an answer of this
+        for finger in self._fingers.values():  # another one may send what is taken for an answer of this
             self.shown[finger.column] = not (finger.hidden or finger.unsure) and not any(
                 value is None
                 or (
                     not value & codes.COB_ID_INVALID and self._answers.get(value & codes.STANDARD_MASK) == finger.column
                 )
-                for other in self._fingers
+                for other in self._fingers.values()
                 if other.claims and other is not finger
                 for values in other.claims.values()
                 for value in values

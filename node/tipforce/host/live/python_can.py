@@ -81,10 +81,12 @@ def message_block(messages: Iterable[can.Message], names: dict[str, int], channe
     return CandumpBlock(frames, tuple(names), fd=tuple(fd))
 
 
-def message(t_ns: int, can_id: int, length: int, data: bytes, channel: str, sent: bool, **flags: bool) -> can.Message:
-    """Return a classic frame, ``can_id`` with SocketCAN's flags, as a message; ``flags``: those of CAN FD."""
+def message(
+    t_ns: int, can_id: int, length: int, data: bytes, channel: str, sent: bool, fd_flags: int | None = None
+) -> can.Message:
+    """Return a frame, with the values of a ``Frame``, as a message."""
     error = bool(can_id & ERROR_FLAG)
-    remote = bool(can_id & REMOTE_FLAG) and not error
+    remote = bool(can_id & REMOTE_FLAG) and not error and fd_flags is None
     return can.Message(
         timestamp=t_ns / 1_000_000_000,
         arbitration_id=can_id & EXTENDED_MASK,
@@ -95,24 +97,13 @@ def message(t_ns: int, can_id: int, length: int, data: bytes, channel: str, sent
         data=None if remote else data,
         channel=channel,
         is_rx=not sent,
-        **flags,
+        is_fd=fd_flags is not None,
+        bitrate_switch=bool((fd_flags or 0) & BIT_RATE_SWITCH),
+        error_state_indicator=bool((fd_flags or 0) & ERROR_STATE),
     )
-
-
-def fd_message(frame: FdFrame, channel: str) -> can.Message:
-    """Return a CAN FD frame as a message."""
-    switch, state = bool(frame.flags & BIT_RATE_SWITCH), bool(frame.flags & ERROR_STATE)
-    return message(
-        frame.t_ns, frame.can_id & ~REMOTE_FLAG, len(frame.data), frame.data, channel, frame.sent,
-        is_fd=True, bitrate_switch=switch, error_state_indicator=state,
-    )  # fmt: skip
 
 
 def block_messages(block: CandumpBlock) -> Iterator[can.Message]:
     """Return all frames of a block as messages, CAN FD frames in their order."""
-    for frame in block.in_order():
-        if isinstance(frame, FdFrame):
-            yield fd_message(frame, block.names[frame.interface])
-        else:
-            t_ns, can_id, length, data, interface, sent = frame
-            yield message(t_ns, can_id, length, data, block.names[interface], sent)
+    for t_ns, can_id, length, data, interface, sent, fd_flags in block.in_order():
+        yield message(t_ns, can_id, length, data, block.names[interface], sent, fd_flags)

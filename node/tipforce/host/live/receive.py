@@ -101,7 +101,7 @@ def open_receiver(
         channel = str(options["channel"])
         return SocketReceiver(open_socket(channel, chosen), channel, tick_s=tick_s)
     from tipforce.host.live.python_can import PythonCanReceiver
-    from tipforce.host.network.open_bus import open_bus
+    from tipforce.host.network.interfaces import open_bus
 
     return PythonCanReceiver(open_bus(**options), chosen, str(options.get("channel") or ""))
 

@@ -11,7 +11,6 @@ from typing import Any, Self
 
 from canopen_device.can_frame import CAN_FRAME
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.frames.frame_block import FdFrame
 
 _FD_FRAME = struct.Struct("=IBB2x64s")  # struct canfd_frame
 _SOL_CAN_RAW, _CAN_RAW_FILTER, _CAN_RAW_FD_FRAMES = 101, 1, 5  # linux/can/raw.h
@@ -47,27 +46,21 @@ class SocketCanSender:
     def __exit__(self, *_: object) -> None:
         self._socket.close()
 
-    def send(self, can_id: int, length: int, data: bytes) -> None:
-        """Send a classic frame, ``can_id`` with SocketCAN's flags. Raises EnvironmentLackError if the bus fails."""
-        self._send(CAN_FRAME.pack(can_id, length, data))
+    def send(self, can_id: int, length: int, data: bytes, fd_flags: int | None = None) -> None:
+        """Send a frame, ``can_id`` with SocketCAN's flags; ``fd_flags``: of CAN FD, None for a classic frame.
 
-    def send_fd(self, frame: FdFrame) -> None:
-        """Send a CAN FD frame. Raises NotCarriedError where the bus carries none, and as ``send``."""
-        try:
-            self._send(_FD_FRAME.pack(frame.can_id, len(frame.data), frame.flags, frame.data))
-        except EnvironmentLackError as error:
-            cause = error.__cause__
-            if isinstance(cause, OSError) and cause.errno == errno.EINVAL:
-                raise NotCarriedError(f"{self._channel} carries no CAN FD frames") from None
-            raise
-
-    def _send(self, frame: bytes) -> None:
+        Raises EnvironmentLackError if the bus fails, NotCarriedError where it carries no CAN FD.
+        """
+        is_fd = fd_flags is not None
+        frame = _FD_FRAME.pack(can_id, length, fd_flags, data) if is_fd else CAN_FRAME.pack(can_id, length, data)
         give_up_s = 0.0
         while True:
             try:
                 self._socket.send(frame)
                 return
             except OSError as error:
+                if is_fd and error.errno == errno.EINVAL:
+                    raise NotCarriedError(f"{self._channel} carries no CAN FD frames") from None
                 now = time.monotonic()
                 give_up_s = give_up_s or now + _GIVE_UP_S
                 if error.errno != errno.ENOBUFS or now > give_up_s:
@@ -88,7 +81,7 @@ class PythonCanSender:
 
     def __init__(self, options: Mapping[str, Any]) -> None:
         """Open the bus. Raises EnvironmentLackError if it cannot be opened."""
-        from tipforce.host.network.open_bus import open_bus
+        from tipforce.host.network.interfaces import open_bus
 
         self._name = str(options.get("channel") or options.get("interface") or "the bus")
         self._bus = open_bus(**options)
@@ -99,27 +92,18 @@ class PythonCanSender:
     def __exit__(self, *_: object) -> None:
         self._bus.shutdown()
 
-    def send(self, can_id: int, length: int, data: bytes) -> None:
+    def send(self, can_id: int, length: int, data: bytes, fd_flags: int | None = None) -> None:
         """See SocketCanSender."""
         import can
 
         from tipforce.host.live.python_can import message
 
         try:
-            self._bus.send(message(0, can_id, length, data, "", False))
-        except can.CanError as error:
-            raise EnvironmentLackError(f"{self._name}: a frame was not sent: {error}") from error
-
-    def send_fd(self, frame: FdFrame) -> None:
-        """See SocketCanSender."""
-        import can
-
-        from tipforce.host.live.python_can import fd_message
-
-        try:
-            self._bus.send(fd_message(frame, ""))
+            self._bus.send(message(0, can_id, length, data, "", False, fd_flags))
         except (can.CanError, ValueError) as error:
-            raise NotCarriedError(f"{self._name} carries no CAN FD frames (try --fd): {error}") from None
+            if fd_flags is not None:
+                raise NotCarriedError(f"{self._name} carries no CAN FD frames (try --fd): {error}") from None
+            raise EnvironmentLackError(f"{self._name}: a frame was not sent: {error}") from error
 
 
 Sender = SocketCanSender | PythonCanSender

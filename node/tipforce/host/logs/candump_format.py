@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterable, Sequence
 
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
-from tipforce.host.frames.frame_block import CandumpBlock, FdFrame
+from tipforce.host.frames.frame_block import CandumpBlock, Frame
 
 _EXTRA = ("- -", "B -", "- E", "B E")  # bit rate switch and error state, by the flags of a CAN FD frame
 _ERROR_MASK = ERROR_FLAG | EXTENDED_MASK
@@ -48,13 +48,9 @@ class CandumpFormat:
         names = block.names
         return [self._line(frame, names) for frame in block.in_order()]
 
-    def _line(self, frame: FdFrame | tuple[int, int, int, bytes, int, bool], names: Sequence[str]) -> str:
-        is_fd, flags = isinstance(frame, FdFrame), 0
-        if isinstance(frame, FdFrame):
-            _, t_ns, can_id, flags, data, interface, sent = frame
-            length = len(data)
-        else:
-            t_ns, can_id, length, data, interface, sent = frame
+    def _line(self, frame: Frame, names: Sequence[str]) -> str:
+        t_ns, can_id, length, data, interface, sent, fd_flags = frame
+        is_fd, flags = fd_flags is not None, fd_flags or 0
         name, remote = names[interface], can_id & REMOTE_FLAG
         if self._align:
             self._width = max(self._width, len(name))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -40,18 +40,25 @@ class BadLine:
         shown = self.text if len(self.text) <= _SHOWN_CHARACTERS else self.text[:_SHOWN_CHARACTERS] + "..."
         return f"line {self.number}: {shown!r}: {self.reason}: {EXPECTED[self.reason]}"
 
+    def moved(self, lines: int) -> BadLine:
+        """Return the bad line of a part with ``lines`` lines before it."""
+        return replace(self, number=lines + self.number)
+
 
 @dataclass(slots=True)
 class LogNotes:
     """Notes on a log: its ``channels`` by number, and counts of everything that is not a data frame.
 
-    ``bad`` counts unusable lines or records by reason, ``first_bad`` gives the first one and the expected
-    text. ``skipped`` counts frames without data for a decoder: CAN FD frames (left out), error and remote frames
-    (delivered, with their flags), frames that candump itself dropped. ``timed`` is False after a frame without
-    timestamp; its ``t_ns`` is 0. ``first_bad_line`` and the number of ``lines`` so far are of text.
+    ``source`` is its name, ``frames`` counts what was delivered. ``bad`` counts unusable lines or records by reason,
+    ``first_bad`` gives the first one and the expected text. ``skipped`` counts frames without data for a decoder: CAN
+    FD frames (left out), error and remote frames (delivered, with their flags), frames that candump itself dropped.
+    ``timed`` is False after a frame without timestamp; its ``t_ns`` is 0. ``first_bad_line`` and the number of
+    ``lines`` so far are of text; they count within a part of a log. ``goes_on``: a part of the same log is in front.
     """
 
     strict: bool = False
+    source: str = ""
+    frames: int = 0
     channels: list[str] = field(default_factory=list)
     bad: dict[str, int] = field(default_factory=dict)
     first_bad: str | None = None
@@ -61,6 +68,28 @@ class LogNotes:
     """Frames with a 29-bit identifier, which CANopen does not use."""
     first_bad_line: BadLine | None = None
     lines: int = 0
+    goes_on: bool = False
+
+    def copy(self) -> LogNotes:
+        """Return the notes until now, which do not change and can be sent to another process."""
+        values = {each.name: getattr(self, each.name) for each in fields(LogNotes)}
+        own = {"channels": [*self.channels], "bad": {**self.bad}, "skipped": {**self.skipped}}
+        return LogNotes(**values | own)
+
+    def append(self, other: LogNotes) -> None:
+        """Add the notes of the next part of the same log."""
+        if self.first_bad is None:
+            line, self.first_bad = other.first_bad_line, other.first_bad
+            if line is not None and self.first_bad == str(line):
+                self.first_bad = str(line.moved(self.lines))
+        self.frames += other.frames
+        self.extended += other.extended
+        self.lines += other.lines
+        for mine, more in ((self.bad, other.bad), (self.skipped, other.skipped)):
+            for reason, count in more.items():
+                mine[reason] = mine.get(reason, 0) + count
+        self.channels += [name for name in other.channels if name not in self.channels]
+        self.timed = self.timed and other.timed
 
     def skip(self, what: str, count: int = 1) -> None:
         """Count a frame without data for a decoder."""

@@ -52,7 +52,7 @@ class LogReader(LogNotes):
         that is not installed; while iterating, InputError for a bad line (strict), and for a time selection without
         timestamps.
         """
-        super().__init__(strict)
+        super().__init__(strict, str(source), goes_on=part[0] > 0)
         path = None if str(source) == STDIN else Path(source)
         self._limits = start_ns, end_ns
         self._lines: LineBlocks | None = None
@@ -81,6 +81,7 @@ class LogReader(LogNotes):
                 frames = block if self._limits == (None, None) else self._within_limits(block)
                 if len(frames):
                     self.count_special(frames)
+                    self.frames += len(frames)
                     yield frames
         finally:
             self.close()

@@ -1,4 +1,4 @@
-"""A bus and its nodes, seen from the host."""
+"""A bus and its nodes, seen from the host: SDO, SYNC, NMT (CiA 301, 7.3.2.2), and their heartbeats (7.2.8.3.2)."""
 
 from __future__ import annotations
 
@@ -7,17 +7,19 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import can
 import canopen
 
+from canopen_device.can_frame import raw_can_id
 from canopen_device.core import codes
+from tipforce.dictionary.service_texts import state_text
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
+from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
-from tipforce.host.network.nmt import NMT_COMMANDS, Heartbeats
 from tipforce.host.network.sdo import DEFAULT_RETRIES, DEFAULT_TIMEOUT_S, SdoChannel, checked_time
 
 if TYPE_CHECKING:
@@ -27,6 +29,65 @@ if TYPE_CHECKING:
 _SYNC_SILENT_S = 1.0
 _LONGEST_SYNC_PERIOD_S = 10.0
 _RECEIVE_CYCLE_S = 0.05  # maximum time for which close() waits for the receiver; canopen's own is a second
+_AFTER_ERROR_S = 0.05
+_AGAIN_S = 0.5  # an NMT command without its state
+
+NMT_COMMANDS = {
+    "start": (codes.NMT_START, codes.OPERATIONAL),
+    "stop": (codes.NMT_STOP, codes.STOPPED),
+    "preop": (codes.NMT_ENTER_PRE_OPERATIONAL, codes.PRE_OPERATIONAL),
+    "reset-node": (codes.NMT_RESET_NODE, codes.INITIALISING),  # a reset ends with the boot-up message
+    "reset-comm": (codes.NMT_RESET_COMMUNICATION, codes.INITIALISING),
+}
+"""Command specifier, and the state that the heartbeat then reports."""
+
+
+class Heartbeats(can.Listener):
+    """Store each node's last heartbeat; any number of threads may wait for one. ``duplicates`` gets every frame."""
+
+    def __init__(self) -> None:
+        self._last: dict[int, tuple[float, int]] = {}
+        self._arrived = threading.Condition()
+        self.duplicates = DuplicateNodes()
+
+    def on_message_received(self, msg: can.Message) -> None:
+        """Store a heartbeat; called by the Notifier's thread."""
+        can_id = raw_can_id(msg)
+        if not msg.is_fd:
+            self.duplicates.frame(can_id, bytes(msg.data), round(1e9 * msg.timestamp))
+        if not 0 < can_id - codes.HEARTBEAT_BASE <= codes.NODE_ID_MASK or len(msg.data) != 1:
+            return
+        with self._arrived:
+            self._last[can_id & codes.NODE_ID_MASK] = time.monotonic(), msg.data[0] & 0x7F
+            self._arrived.notify_all()
+
+    def on_error(self, exc: Exception) -> None:
+        """Continue to listen after a bus error, which the Notifier keeps for waiting threads; called by the Notifier.
+
+        Without this its thread would end with a traceback. A bus that fails repeatedly must not keep a core busy.
+        """
+        del exc
+        time.sleep(_AFTER_ERROR_S)
+
+    def stop(self) -> None:
+        """Do nothing; called by the Notifier at its end."""
+
+    def state(self, node_id: int) -> int | None:
+        """Return the NMT state of the last heartbeat, None for a node without one."""
+        with self._arrived:
+            return self._last[node_id][1] if node_id in self._last else None
+
+    def wait(self, node_id: int, wanted: int, since_s: float, timeout_s: float) -> bool:
+        """Wait for a heartbeat with a state after ``since_s`` (monotonic); return False if there is none."""
+        deadline_s = time.monotonic() + timeout_s
+        with self._arrived:
+            while True:
+                heard_s, state = self._last.get(node_id, (-1.0, -1))
+                if heard_s >= since_s and state == wanted:
+                    return True
+                left_s = deadline_s - time.monotonic()
+                if left_s <= 0 or not self._arrived.wait(left_s):
+                    return False
 
 
 class Bus:
@@ -50,7 +111,7 @@ class Bus:
             raise InputError(f"retries = {retries!r}: allowed are whole numbers from 0")
         self._retries = retries
         self._channels: dict[int, SdoChannel] = {}
-        self._fingers: dict[int, Finger] = {}
+        self._fingers: dict[tuple[int, bool, int], Finger] = {}
         self._lock = threading.Lock()
         self._foreign_sync_s: tuple[float, float] = (-math.inf, 0.0)
         self._own_sync_s = -math.inf
@@ -108,7 +169,7 @@ class Bus:
         if channel is not None and interface is None and sys.platform == "linux":
             own = can.rc.get("interface") or os.environ.get("CAN_INTERFACE")  # python-can's configuration
             interface = None if own or can.util.load_file_config().get("interface") else "socketcan"
-        from tipforce.host.network.open_bus import open_bus
+        from tipforce.host.network.interfaces import open_bus
 
         opened = open_bus(channel=channel, interface=interface, **bus_options)
         try:
@@ -126,12 +187,9 @@ class Bus:
         """
         from tipforce.host.network.finger import Finger
 
-        sdo = self.sdo(node_id)
+        finger = Finger(self, node_id, passive=passive, default_gauges=gauges)
         with self._lock:
-            finger = self._fingers.get(node_id)
-            if finger is None or (finger.passive, finger.default_gauges) != (passive, gauges):
-                finger = self._fingers[node_id] = Finger(self, sdo, passive=passive, default_gauges=gauges)
-            return finger
+            return self._fingers.setdefault((node_id, passive, gauges), finger)
 
     def scan(self, node_ids: Iterable[int] = range(1, 128), wait_s: float = 1.2) -> list[FoundNode]:
         """Return the nodes on the bus. See ``find_nodes``."""
@@ -240,3 +298,43 @@ class Bus:
 
 
 open_connection = Bus.open
+
+
+class NotReachedError(NoResponseError):
+    """Some nodes did not report the state; ``reached`` has the states of the others, by node-id."""
+
+    def __init__(self, message: str, reached: dict[int, str]) -> None:
+        super().__init__(message)
+        self.reached = reached
+
+
+def command_and_wait(
+    connection: Bus, command: str, node_ids: Collection[int], timeout_s: float = 2.0
+) -> dict[int, str]:
+    """Send an NMT command to each node and wait for its heartbeat; return the state that each reported.
+
+    NMT is not confirmed: a command other than a reset is repeated until the heartbeat reports the state, so a node may
+    boot meanwhile. Raises NotReachedError naming the nodes whose heartbeat did not report it in time: they are off, or
+    their heartbeat (1017h) is slower or 0.
+    """
+    since_s = time.monotonic()
+    wanted, reached = NMT_COMMANDS[command][1], dict[int, str]()
+    again_s = timeout_s if command.startswith("reset") else _AGAIN_S
+    waiting = sorted(node_ids)
+    while waiting and (now_s := time.monotonic()) < since_s + timeout_s:
+        for node_id in waiting:
+            connection.nmt(command, node_id)
+        until_s = min(now_s + again_s, since_s + timeout_s)
+        for node_id in waiting:
+            if connection.heartbeats.wait(node_id, wanted, since_s, max(0.0, until_s - time.monotonic())):
+                reached[node_id] = state_text(wanted)
+        waiting = [node_id for node_id in waiting if node_id not in reached]
+    if waiting:
+        last = ((node_id, connection.heartbeats.state(node_id)) for node_id in waiting)
+        shown = [f"{n} ({'silent' if s is None else f'last reported {state_text(s)}'})" for n, s in last]
+        raise NotReachedError(
+            f"nmt {command}: no heartbeat with the new state within {timeout_s:g} s from node {', '.join(shown)}; "
+            "check that its heartbeat (1017h) is on and faster than this",
+            reached,
+        )
+    return reached

@@ -14,7 +14,7 @@ from tipforce.dictionary import objects as od
 from tipforce.dictionary.service_texts import state_text
 from tipforce.dictionary.table import REVISION
 from tipforce.errors import DuplicateNodeError, InputError, NoResponseError, SdoAbortError, TipforceError
-from tipforce.host.network.finger import FingertipClient
+from tipforce.host.network.finger import Finger
 from tipforce.host.network.sdo import checked_time
 from tipforce.samples import reasons
 
@@ -113,7 +113,7 @@ def _describe(connection: Bus, node_id: int, state: int | None, answers: bool) -
     if not answers:
         return replace(node, duplicate=str(connection.duplicates.found.get(node_id, "")))
     try:
-        identified = _identified(FingertipClient(connection.sdo(node_id)), node)
+        identified = _identified(connection.finger(node_id), node)
         connection.sdo(node_id).check_duplicates(wait=True)
         return identified
     except DuplicateNodeError as error:
@@ -122,16 +122,16 @@ def _describe(connection: Bus, node_id: int, state: int | None, answers: bool) -
         return replace(node, device=next(text for kind, text in _FAILED.items() if isinstance(error, kind)))
 
 
-def _identified(client: FingertipClient, node: FoundNode) -> FoundNode:
-    identity = client.identity()
+def _identified(finger: Finger, node: FoundNode) -> FoundNode:
+    identity = finger.identity()
     node = replace(node, serial=identity.serial, product=identity.product)
     if not identity.is_fingertip:
         device = f"product 0x{identity.product:08X}"
         return replace(node, device=device, calibration="not a fingertip", eds="no: another device")
-    crc = client.sdo.read(od.CALIBRATION_ACTIVE_CRC)
-    generation = client.sdo.read(od.CALIBRATION_GENERATION)
+    crc = finger.sdo.read(od.CALIBRATION_ACTIVE_CRC)
+    generation = finger.sdo.read(od.CALIBRATION_GENERATION)
     calibration = f"0x{crc:08X} generation {generation}" if crc else reasons.NOT_CALIBRATED
-    faults = ", ".join(reasons.of_faults(client.sdo.read(od.FAULTS)))
+    faults = ", ".join(reasons.of_faults(finger.sdo.read(od.FAULTS)))
     eds = "match"
     if identity.revision >> 16 != REVISION >> 16:
         eds = f"no: revision 0x{identity.revision:08X}, expected 0x{REVISION:08X}"

@@ -18,7 +18,7 @@ from tipforce.dictionary.entries import Entry, gauges_of
 from tipforce.errors import InputError, RefusedError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration, difference
 from tipforce.host.network.lss import LssAddress
-from tipforce.host.network.sdo import SdoChannel, checked_time
+from tipforce.host.network.sdo import checked_time
 
 if TYPE_CHECKING:
     from tipforce.host.network.bus import Bus
@@ -69,13 +69,65 @@ class Tare:
     age_s: int
 
 
-class FingertipClient:
-    """Access to one node. Every method raises NoResponseError and SdoAbortError as ``SdoChannel`` does."""
+class Finger:
+    """One finger: its samples, its objects (``sdo``), its calibration. Created by ``Bus.finger``.
 
-    def __init__(self, sdo: SdoChannel) -> None:
-        self.sdo = sdo
-        self.node_id = sdo.node_id
+    Every method raises NoResponseError and SdoAbortError as ``SdoChannel`` does.
+    """
+
+    def __init__(self, connection: Bus, node_id: int, *, passive: bool = False, default_gauges: int = 3) -> None:
+        self.node_id, self.sdo = node_id, connection.sdo(node_id)
+        self._connection, self._passive, self._default_gauges = connection, passive, default_gauges
         self._calibrations: dict[int, Calibration | None] = {}  # of the samples that are joined from now on
+        self._lock = threading.Lock()
+        self._reader: ContactReader | None = None
+        self._started_s = -math.inf
+
+    def read(self, timeout_s: float = 1.0) -> Contact:
+        """Return the newest sample that was not read yet, or the next one, as soon as it arrives.
+
+        If no node sends SYNCs, this method sends one. Raises NoNewSampleError if none arrives within ``timeout_s`` (0:
+        there is none), NoResponseError and SdoAbortError if the finger does not respond, and InputError for a finger
+        that sends no PDO with its contact, its force or all its gauges.
+        """
+        checked_time("timeout_s", timeout_s)
+        period_s = None if self._passive or not timeout_s else 1.0 / DEFAULT_RATE_HZ
+        return self._opened().newest(time.monotonic() + timeout_s, period_s)
+
+    def samples(self, timeout_s: float = 1.0, rate_hz: float = DEFAULT_RATE_HZ) -> ContactStream:
+        """Yield each new sample as it arrives, for ``for`` and ``async for``.
+
+        If no node sends SYNCs, they are sent at ``rate_hz``. Raises as ``read``; NoNewSampleError after ``timeout_s``
+        without a sample.
+        """
+        from tipforce.host.network.finger_samples import ContactStream
+
+        checked_time("timeout_s", timeout_s)
+        if not 0.0 < rate_hz <= HIGHEST_RATE_HZ:
+            raise InputError(f"rate_hz = {rate_hz!r}: allowed is above 0, up to {HIGHEST_RATE_HZ:g}")
+        return ContactStream(self._opened(), timeout_s, None if self._passive else 1.0 / rate_hz)
+
+    def close(self) -> None:
+        """Stop receiving its PDOs. ``Bus.close`` also does it."""
+        with self._lock:
+            if self._reader is not None:
+                self._reader.close()
+            self._reader = None
+
+    def _opened(self) -> ContactReader:
+        from tipforce.host.network.finger_samples import ContactReader
+
+        with self._lock:
+            if self._reader is None:
+                self._calibrations[self.node_id] = None if self._passive else self.calibration()
+                bus, gauges = self._connection, self._default_gauges
+                self._reader = ContactReader(bus, self.node_id, self._calibrations, self._passive, gauges)
+            state, now_s = self._connection.heartbeats.state(self.node_id), time.monotonic()
+            to_start = not self._passive and state not in (codes.OPERATIONAL, codes.STOPPED)
+            if to_start and now_s - self._started_s > _START_AGAIN_S:
+                self._started_s = now_s
+                self._connection.nmt("start", self.node_id)
+            return self._reader
 
     def identity(self) -> Identity:
         """Return the identity of the node."""
@@ -195,61 +247,3 @@ class FingertipClient:
             if reason is None:
                 raise
             raise RefusedError(f"node {self.node_id} rejected the calibration (0x{error.code:08X}): {reason}") from None
-
-
-class Finger(FingertipClient):
-    """One finger: its samples, its objects (``sdo``), its calibration. Created by ``Bus.finger``."""
-
-    def __init__(self, connection: Bus, sdo: SdoChannel, *, passive: bool = False, default_gauges: int = 3) -> None:
-        super().__init__(sdo)
-        self.passive, self.default_gauges = passive, default_gauges
-        self._connection = connection
-        self._lock = threading.Lock()
-        self._reader: ContactReader | None = None
-        self._started_s = -math.inf
-
-    def read(self, timeout_s: float = 1.0) -> Contact:
-        """Return the newest sample that was not read yet, or the next one, as soon as it arrives.
-
-        If no node sends SYNCs, this method sends one. Raises NoNewSampleError if none arrives within ``timeout_s`` (0:
-        there is none), NoResponseError and SdoAbortError if the finger does not respond, and InputError for a finger
-        that sends no PDO with its contact, its force or all its gauges.
-        """
-        checked_time("timeout_s", timeout_s)
-        period_s = None if self.passive or not timeout_s else 1.0 / DEFAULT_RATE_HZ
-        return self._opened().newest(time.monotonic() + timeout_s, period_s)
-
-    def samples(self, timeout_s: float = 1.0, rate_hz: float = DEFAULT_RATE_HZ) -> ContactStream:
-        """Yield each new sample as it arrives, for ``for`` and ``async for``.
-
-        If no node sends SYNCs, they are sent at ``rate_hz``. Raises as ``read``; NoNewSampleError after ``timeout_s``
-        without a sample.
-        """
-        from tipforce.host.network.finger_samples import ContactStream
-
-        checked_time("timeout_s", timeout_s)
-        if not 0.0 < rate_hz <= HIGHEST_RATE_HZ:
-            raise InputError(f"rate_hz = {rate_hz!r}: allowed is above 0, up to {HIGHEST_RATE_HZ:g}")
-        return ContactStream(self._opened(), timeout_s, None if self.passive else 1.0 / rate_hz)
-
-    def close(self) -> None:
-        """Stop receiving its PDOs. ``Bus.close`` also does it."""
-        with self._lock:
-            if self._reader is not None:
-                self._reader.close()
-            self._reader = None
-
-    def _opened(self) -> ContactReader:
-        from tipforce.host.network.finger_samples import ContactReader
-
-        with self._lock:
-            if self._reader is None:
-                self._calibrations[self.node_id] = None if self.passive else self.calibration()
-                bus, gauges = self._connection, self.default_gauges
-                self._reader = ContactReader(bus, self.node_id, self._calibrations, self.passive, gauges)
-            state, now_s = self._connection.heartbeats.state(self.node_id), time.monotonic()
-            to_start = not self.passive and state not in (codes.OPERATIONAL, codes.STOPPED)
-            if to_start and now_s - self._started_s > _START_AGAIN_S:
-                self._started_s = now_s
-                self._connection.nmt("start", self.node_id)
-            return self._reader

@@ -1,4 +1,4 @@
-"""The CAN interfaces of this machine (SocketCAN): which there are, which are up, and what the kernel says of each."""
+"""The CAN interfaces of this machine (SocketCAN): which are up, and what the kernel says of each; and opening a bus."""
 
 from __future__ import annotations
 
@@ -9,7 +9,14 @@ import struct
 import subprocess
 import sys
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from tipforce.errors import EnvironmentLackError
+
+if TYPE_CHECKING:
+    import can
+
+    from canopen_device.running.ports import PythonCanPort, SocketCanPort
 
 ARPHRD_CAN = 280  # linux/if_arp.h
 _SIOCGIFFLAGS, _SIOCGIFHWADDR, _IFF_UP = 0x8913, 0x8927, 1  # linux/sockios.h, linux/if.h
@@ -80,3 +87,33 @@ def link_of(record: dict[str, Any]) -> Link:
         int(timing.get("bitrate") or 0), str(timing.get("sample_point", "")), str(data.get("state") or ""),
         int(counter.get("tx", 0)), int(counter.get("rx", 0)), record.get("txqlen"),
     )  # fmt: skip
+
+
+def open_bus(**options: Any) -> can.BusABC:
+    """Return python-can's bus. Raises as canopen_device's open_bus does, with the commands that help."""
+    from canopen_device.running import open_bus as devices_bus
+
+    return devices_bus.open_bus(
+        options,
+        "use -i and -c, as in -i socketcan -c can0, or set CAN_INTERFACE and CAN_CHANNEL; "
+        "`tipforce doctor` lists the interfaces of this machine",
+        "check -i and -c (`ip -br link` lists interfaces), run on a kernel with vcan: `tipforce vcan -- ...`, "
+        "or use -i udp_multicast",
+    )
+
+
+def open_port(**options: Any) -> tuple[SocketCanPort | PythonCanPort, str]:
+    """Return a port for nodes, and its name: kernel sockets for SocketCAN, python-can for every other interface."""
+    from canopen_device.running.ports import PythonCanPort, SocketCanPort
+
+    channel = options.get("channel")
+    if sys.platform == "linux" and options.get("interface") == "socketcan" and channel:
+        try:
+            return SocketCanPort(channel), channel
+        except OSError as error:
+            raise EnvironmentLackError(
+                f"interface socketcan, channel {channel}: {error.strerror}; `ip -br link` lists interfaces; "
+                "`tipforce vcan -- ...` provides vcan"
+            ) from error
+    bus = open_bus(**options)
+    return PythonCanPort(bus), str(bus.channel_info)

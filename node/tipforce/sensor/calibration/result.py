@@ -147,6 +147,11 @@ class Fit:
         noise, parameters = variance_factors(self.noise_dof, len(self.A) - 3)
         return noise * self.noise_covariance_strain2, parameters * self.parameter_covariance
 
+    def covariance_F(self, F_newtons: npt.ArrayLike, *, offset_known: bool = False, noise: bool = True) -> FloatArray:
+        """Return the covariance of an estimate at F (..., 3): (..., 3, 3), N^2. See covariance_of_estimate()."""
+        Sigma = noise * self.noise_covariance_strain2
+        return covariance_of_estimate(self.C, Sigma, self.parameter_covariance, F_newtons, offset_known=offset_known)
+
 
 def covariance_of_estimate(
     C: npt.ArrayLike,
