@@ -1,7 +1,6 @@
-"""What somebody meets who has just installed it: no bus, a wrong file, a narrow terminal; and the demo."""
+"""What somebody meets who has just installed it: no bus, a wrong file, a narrow terminal; the demo; `tipforce run`."""
 
 import io
-import json
 import math
 import re
 from pathlib import Path
@@ -15,6 +14,8 @@ from rich.table import Table
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.scene import beam_calibration
+from tipforce.scene.reader import read_scene
+from tipforce.scene.registry import identifiers, parts
 from tipforce.sensor.contact import estimate as contact_model
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -22,6 +23,7 @@ from tipforce.sensor.structure.layouts import CASES
 from tipforce.sensor.structure.published import GROOVES_DEG
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.watching.watcher import Finger
+from tipforce_lab.scene_cost import part_costs
 from tipforce_tools.cli import common
 from tipforce_tools.cli.main import main
 from tipforce_tools.demo import job
@@ -152,17 +154,10 @@ def test_no_word_of_a_table_is_cut_in_eighty_columns(words: str, monkeypatch: py
         assert "noise.one_over_f_microstrain" in re.sub(r"\s+", "", told)
 
 
-def demo(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, list[dict[str, object]], dict[str, object]]:
-    code = main(["demo", "--json", "-q", *words])
-    out, err = capsys.readouterr()
-    assert err == ""
-    *rows, summary = [json.loads(line) for line in out.splitlines()]
-    return code, rows, summary
-
-
-def test_every_estimate_is_inside_its_bound(capsys: pytest.CaptureFixture[str]) -> None:
-    code, rows, summary = demo(capsys)
-    assert code == 0
+def test_every_estimate_is_inside_its_bound(printed: Printed) -> None:
+    output = printed(0, "demo --json -q")
+    assert output.err == ""
+    *rows, summary = output.records
     assert len(rows) == summary["loads"] == LOADS == 114
     assert all(row["inside"] and row["host_agrees"] for row in rows)
     assert {(row["case"], row["sense"]) for row in rows} == {(c, s) for c in CASES for s in ("pull", "push")}
@@ -176,9 +171,8 @@ def test_every_estimate_is_inside_its_bound(capsys: pytest.CaptureFixture[str]) 
             assert 0 < u < bound
 
 
-def test_spoiled_calibrations_are_found(capsys: pytest.CaptureFixture[str]) -> None:
-    code, rows, summary = demo(capsys, "--spoil")
-    assert code == 1
+def test_spoiled_calibrations_are_found(printed: Printed) -> None:
+    *rows, summary = printed(1, "demo --json -q --spoil").records
     assert summary["ok"] is False
     outside = [row for row in rows if not row["inside"]]
     assert len(outside) == summary["outside"]
@@ -266,3 +260,88 @@ def test_the_bound_against_a_simulation(case: str, pull: bool, groove: int) -> N
     expected = np.hypot(u, 2 * job.HALF_STEP / math.sqrt(12))
     np.testing.assert_allclose(errors.std(axis=0), expected, rtol=0.03)
     assert (np.abs(errors.mean(axis=0)) < 0.05 * expected).all(), "no bias"
+
+
+SCENES = Path(__file__).parents[2] / "scenes"
+SHIPPED = sorted(path.stem for path in SCENES.glob("*.toml"))
+
+
+def test_a_run_prints_a_table_and_judges(printed: Printed) -> None:
+    out, err = printed(0, f"run {SCENES / 'grasp.toml'}")
+    for node_id in range(1, 6):
+        assert f"{node_id} (0x0{node_id})" in out
+    assert "RMS error" in out
+    assert "no contact" in out
+    assert "PASS: 50 of 50 expectations hold, 0 do not" in out
+    assert len(re.findall(r"^\W*ok .*\W1,2,3,4,5\W", out, re.MULTILINE)) == 10
+    assert "2 s with 1000 SYNCs and 11006 frames" in err
+
+
+def test_a_run_as_json(printed: Printed, tmp_path: Path) -> None:
+    log = tmp_path / "run.log"
+    found = printed(0, f"run {SCENES}/overload.toml --json -q -o {log}").records
+    one, two = (record for record in found if "samples" in record)
+    assert one["estimated_P_N"] is None
+    assert one["missing"]["saturated"] > 0
+    assert one["slit_closed"] > 0
+    assert two["estimated_P_N"] == pytest.approx(30.0, abs=0.01)
+    assert found[-1]["summary"]
+    assert found[-1]["files"] == [str(log)]
+    assert log.stat().st_size > 0
+
+
+def test_an_expectation_that_fails_is_exit_code_1(printed: Printed, tmp_path: Path) -> None:
+    text = (SCENES / "static.toml").read_text().replace("P_error_N = 0.01", "P_error_N = 1e-6")
+    (tmp_path / "scene.toml").write_text(text)
+    out = printed(1, f"run {tmp_path / 'scene.toml'}").out
+    assert re.search(r"FAILED\W+0 s to 1 s: largest error of P at most 1e-06 N\W+1\W+0\.001 N", out)
+    assert "FAIL: 4 of 5" in out
+
+
+def test_a_bus_that_cannot_carry_it_is_told(printed: Printed, tmp_path: Path) -> None:
+    text = (SCENES / "static.toml").read_text().replace("sync_hz", "bit_rate = 50000\nsync_hz")
+    (tmp_path / "scene.toml").write_text(text)
+    assert "too much for a bus of 50000 bit/s: 316 % load" in printed(0, f"run {tmp_path / 'scene.toml'}").err
+    assert "(it does not fit)" in printed(0, f"run --explain {tmp_path / 'scene.toml'}").out
+
+
+def test_explain_prints_every_part_and_identifier(printed: Printed) -> None:
+    path = SCENES / "dying-gauge.toml"
+    out = printed(0, f"run --explain {path}").out
+    scene = read_scene(path)
+    for part in parts(scene):
+        assert part.name in out
+    for one in identifiers(scene):
+        assert f"0x{one.can_id:03X}" in out
+    assert "[[faults]]: 3" in out
+    assert "no [dynamics]" in out
+
+
+def test_explain_as_json(printed: Printed) -> None:
+    found = printed(0, f"run --explain {SCENES}/tap.toml --json").records
+    told = {record["part"]: record for record in found if "part" in record}
+    assert told["dynamics"]["built"]
+    assert "tipforce.sensor.dynamics.first_order_hold" in told["dynamics"]["modules"]
+    assert not told["noise"]["built"]
+    assert [record["cob_id"] for record in found if "cob_id" in record] == ["0x000", "0x080", "0x281", "0x701"]
+    assert found[-1]["bus_load"] == pytest.approx(0.158)
+
+
+def test_costs_are_those_of_the_parts_that_are_built() -> None:
+    path = SCENES / "static.toml"
+    scene = read_scene(path)
+    costs = part_costs(scene, path, samples=40, runs=1)
+    built = {part.name: part.built for part in parts(scene)}
+    assert list(costs) == [*built, "all"]
+    assert all((costs[name]["import_ms"] is not None) == held for name, held in built.items())
+    assert all(costs[name]["us_per_sample"] is None for name, held in built.items() if not held)
+    assert costs["nodes"]["us_per_sample"] is not None
+
+
+def test_a_shipped_scene_is_found_by_name(printed: Printed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("static", "static.toml"):
+        assert printed(0, f"run {name} --json -q").records[-1]["ok"]
+    assert printed(0, "run --explain static --json").out
+    (tmp_path / "static.toml").write_text("[[")
+    assert "scene static.toml: " in printed(2, "run static.toml").err

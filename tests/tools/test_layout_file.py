@@ -1,7 +1,7 @@
 """Layout files with gauges anywhere, and `tipforce calibrate budget`: read, written, used, refused."""
 
 import importlib.util
-import json
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -19,9 +19,9 @@ from tipforce.sensor.structure.strain import Gauge, GaugePosition, gauge_matrix,
 from tipforce.sources import layout_file
 from tipforce.sources.layout_file import layout_text, read_layout, write_layout
 from tipforce.sources.simulated import SimulatedSource
-from tipforce_tools.cli.main import main
 from tools.rig import Printed, run_node, source_of
 
+Budget = Callable[[str], dict[str, dict[str, Any]]]
 ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
 PLACES: tuple[Gauge, ...] = (
     GaugePosition("H", "left", 1.08e-3),
@@ -140,13 +140,14 @@ def test_a_layout_file_that_is_wrong(tmp_path: Path, text: str, message: str) ->
     assert str(path) in str(caught.value)
 
 
-def records(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, dict[str, Any]]:
-    assert main(["calibrate", "budget", *words, "--json"]) == 0
-    return {record["cause"]: record for record in map(json.loads, capsys.readouterr().out.splitlines())}
+@pytest.fixture
+def budget(printed: Printed) -> Budget:
+    """The records of `calibrate budget` with these words, by their cause."""
+    return lambda words: {one["cause"]: one for one in printed(0, f"calibrate budget {words} --json").records}
 
 
-def test_the_papers_case_over_the_pad(capsys: pytest.CaptureFixture[str]) -> None:
-    found = records(capsys)
+def test_the_papers_case_over_the_pad(budget: Budget) -> None:
+    found = budget("")
     assert list(found) == CAUSES
     total = found["total"]
     assert total["share_P_percent"] == pytest.approx(100.0)
@@ -154,74 +155,72 @@ def test_the_papers_case_over_the_pad(capsys: pytest.CaptureFixture[str]) -> Non
     assert 0.02 < total["u_P_N"] < total["u_P_N_max"] < 0.1
     assert sum(found[cause]["share_P_percent"] for cause in CAUSES[:-1]) == pytest.approx(100.0, abs=0.1)
     assert found["gauge position"]["u_P_N"] == 0.0
-    degree = records(capsys, "--gravity", "1")["gravity"]
+    degree = budget("--gravity 1")["gravity"]
     assert degree["u_P_N_max"] / 4.4 == pytest.approx(0.0087, abs=0.0002)
     assert degree["u_phi_deg_max"] == pytest.approx(1.0, abs=0.01)
     assert degree["u_theta_deg_max"] == pytest.approx(0.79, abs=0.02)
 
 
-def test_each_flag_moves_its_row_alone(capsys: pytest.CaptureFixture[str]) -> None:
-    load = ("--uncalibrated", "--load", "2", "--phi", "-80", "--theta", "100")
-    before = records(capsys, *load)
+def test_each_flag_moves_its_row_alone(budget: Budget) -> None:
+    load = "--uncalibrated --load 2 --phi -80 --theta 100"
+    before = budget(load)
     for flag, cause in (
         ("noise", "gauge noise"), ("resolution", "quantisation"), ("gain", "gain"), ("offset", "offset"),
         ("hysteresis", "hysteresis"), ("creep", "creep"), ("gauge-shift", "gauge position"),
         ("off-axis", "off-axis load"),
     ):  # fmt: skip
-        after = records(capsys, *load, f"--{flag}", "0")
+        after = budget(f"{load} --{flag} 0")
         assert [name for name in CAUSES[:-1] if after[name]["u_P_N"] != before[name]["u_P_N"]] == [cause]
         assert after[cause]["u_P_N"] == after[cause]["u_theta_deg"] == 0.0
-    warm = records(capsys, *load, "--temperature", "2")
+    warm = budget(f"{load} --temperature 2")
     assert warm["temperature, common"]["u_P_N"] == pytest.approx(2.0 * before["temperature, common"]["u_P_N"])
-    assert records(capsys, "--load-angle", "0")["load angle"]["u_P_N"] == 0.0
+    assert budget("--load-angle 0")["load angle"]["u_P_N"] == 0.0
 
 
-def test_a_calibration_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    path = str(tmp_path / "cal.toml")
+def test_a_calibration_file(budget: Budget, tmp_path: Path) -> None:
+    path, load = tmp_path / "cal.toml", "--load 2 --phi 80 --theta 100"
     write_calibration(path, CASE_II)
-    found = records(capsys, path, "--load", "2", "--phi", "80", "--theta", "100")
+    found = budget(f"{path} {load}")
     P_variance = np.array([1.0, 0.0, 0.0]) @ CASE_II.covariance_F @ np.array([1.0, 0.0, 0.0])
     assert found["gauge noise"]["u_P_N"] == pytest.approx(np.sqrt(P_variance), rel=0.05)  # phi is nearly 90 degrees
     assert list(found) == CAUSES
-    by_name = records(capsys, "--layout", "II", "--noise", "2", "--load", "2", "--phi", "80", "--theta", "100")
+    by_name = budget(f"--layout II --noise 2 {load}")
     assert by_name["gauge noise"]["u_P_N"] == pytest.approx(found["gauge noise"]["u_P_N"], rel=1e-6)
     # REAL32 in the file, the load sense in theta alone.
-    pushed = records(capsys, path, "--sense", "push", "--load", "2", "--phi", "80", "--theta", "100")
+    pushed = budget(f"{path} --sense push {load}")
     assert pushed["gauge noise"]["u_P_N"] == found["gauge noise"]["u_P_N"]
     assert pushed["gauge noise"]["u_theta_deg"] != found["gauge noise"]["u_theta_deg"]
 
 
-def test_five_gauges_of_which_only_the_calibration_is_known(
-    capsys: pytest.CaptureFixture[str], printed: Printed, tmp_path: Path
-) -> None:
+def test_five_gauges_of_which_only_the_calibration_is_known(budget: Budget, printed: Printed, tmp_path: Path) -> None:
     five = strain_matrix(FABRICATED, ("K_H", "S_H", "U", "L", "T"))
     calibration = Calibration(weighted_inverse(five, np.eye(5)), np.zeros(5), 1e-12 * np.eye(5))
     path = str(tmp_path / "cal.toml")
     write_calibration(path, calibration)
-    captured = printed(0, ["calibrate", "budget", path, "--noise", "1"])
+    captured = printed(0, f"calibrate budget {path} --noise 1")
     assert "no row for off-axis load: the positions of the gauges are unknown" in captured.err
     assert "off-axis" not in captured.out
     layout = tmp_path / "five.toml"
     layout.write_text('points = ["K_H", "S_H", "U", "L", "T"]\n')
-    assert "off-axis load" in records(capsys, path, "--layout", str(layout))
-    assert "it has 3 gauges, the calibration 5" in printed(2, ["calibrate", "budget", path, "--layout", "I"]).err
+    assert "off-axis load" in budget(f"{path} --layout {layout}")
+    assert "it has 3 gauges, the calibration 5" in printed(2, f"calibrate budget {path} --layout I").err
 
 
 def test_text_tells_where_first_order_does_not_hold(printed: Printed) -> None:
-    captured = printed(0, ["calibrate", "budget", "--load", "1", "--phi", "0", "--theta", "91"])
+    captured = printed(0, "calibrate budget --load 1 --phi 0 --theta 91")
     lines = captured.out.splitlines()
     assert lines[0].split() == ["cause", "u(P)", "N", "share", "u(phi)", "deg", "share", "u(theta)", "deg", "share"]
     assert lines[-1].startswith("total")
     assert len(lines) == 1 + len(CAUSES)
     assert "first order does not hold for theta at 1 of 1 loads" in captured.err
-    captured = printed(0, ["calibrate", "budget", "-q"])
+    captured = printed(0, "calibrate budget -q")
     assert captured.err == ""
     assert captured.out.splitlines()[0].split().count("max") == 3
 
 
 @pytest.mark.skipif(importlib.util.find_spec("matplotlib") is None, reason="figures need the extra `plot`")
 @pytest.mark.parametrize(("name", "head"), [("b.png", b"\x89PNG"), ("b.svg", b"<?xml")])
-def test_plot(tmp_path: Path, name: str, head: bytes) -> None:
+def test_plot(printed: Printed, tmp_path: Path, name: str, head: bytes) -> None:
     path = tmp_path / name
-    assert main(["calibrate", "budget", "-o", str(path)]) == 0
+    printed(0, f"calibrate budget -o {path}")
     assert path.read_bytes().startswith(head)
