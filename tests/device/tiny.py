@@ -55,7 +55,7 @@ def dictionary(node_id: int = 5) -> ObjectDictionary:
 def _add(od: ObjectDictionary, rows: Iterable[tuple[Any, ...]]) -> None:
     """Rows: index, sub-index, type, access, flags, default, and limits where there are some."""
     for index, sub, *row in rows:
-        od.add(index, sub, (*row, None, None)[:6])  # type: ignore[arg-type]
+        od.add(index, sub, (*row, None, None)[:6])
 
 
 def _pdo(index: int, cob_id: int, transmission: int) -> list[tuple[Any, ...]]:
