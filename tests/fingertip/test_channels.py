@@ -108,22 +108,6 @@ def test_a_mapping_read_at_once_has_the_values_of_each_entry(n: int) -> None:
     assert od.packer([(0x6130, 1)]) is None
 
 
-@pytest.mark.parametrize(("sign", "end", "status"), [(1, 32767, 3), (-1, -32767, 5)])
-def test_saturated_gauge_reads_the_end_of_the_range(sign: int, end: int, status: int) -> None:
-    talk = finger(load=PUSH)
-    talk.source.offset_microstrain[1] = sign * 5000.0
-    pdos = talk.sync()
-    assert pdos.gauges[1] == end
-    assert pdos.status & (SATURATED | FAULT) == SATURATED
-    assert pdos.contact == (-0x8000,) * 3
-    assert math.isnan(talk.get("f", 0x6130, 2))
-    assert talk.get("i", 0x9130, 2) == sign * 0x7FFFFFFF
-    assert [talk.get("B", 0x6150, sub) for sub in range(1, 10)] == [0, status, 0] + [1] * 6
-    assert talk.get("H", 0x2124) == 0b10
-    # The others still read.
-    assert pdos.gauges[0] == pytest.approx(1000 * forces(PUSH)[0], abs=1)
-
-
 def gauges(n: int) -> list[float]:
     return [100.0 * F[k % 3] * (1, -1)[k // 3 % 2] for k in range(n)]
 

@@ -159,18 +159,6 @@ def test_the_age_of_a_tare_and_what_ends_it() -> None:
     assert tare(talk) == [0.0] * 3 + [0]
 
 
-@pytest.mark.parametrize("why", ["uncalibrated", "stale", "saturated"])
-def test_tare_is_refused_while_the_force_is_unknown(why: str) -> None:
-    talk = finger(calibrated=why != "uncalibrated", load=PUSH)
-    if why == "saturated":
-        talk.source.offset_microstrain[0] = 5000.0
-    talk.sync()
-    if why == "stale":
-        talk.sync(after_us=1)
-    assert talk.put("H", 0x2130, 0, TARE) == talk.put("I", 0x6139, 4, TARA) == REFUSED
-    assert tare(talk) == [0.0] * 3 + [0]
-
-
 def test_command_by_rpdo_runs_once_per_reception() -> None:
     talk = finger(load=PUSH)
     assert talk.put("I", 0x1400, 1, 0x205) == 0

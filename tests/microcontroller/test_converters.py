@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from canopen_device.core.node import Device
+from fingertip.finger import Finger
 from firmware.ads1220 import Ads1220
 from firmware.hx711 import Hx711
 from firmware.nau7802 import Nau7802
@@ -192,56 +192,50 @@ def test_no_setting_that_a_chip_has_not() -> None:
             build()
 
 
-class Node:
+class Node(Finger):
     """A node with two chips: three gauges, the first chip with two of them."""
 
     def __init__(self) -> None:
-        self.clock = FakeClock()
+        self.clock = FakeClock(1_000_000)
         self.signals = [[100, 200], [300]]
         pairs = [chip("ads1220", self.clock, signal) for signal in self.signals]
         self.fakes = [pair[1] for pair in pairs]
         self.gauges = Gauges([pair[0] for pair in pairs], 1000.0)
-        self.device: Device = fingertip_node(5, self.gauges, self.gauges.n)
-        self.emcy: list[str] = []
-        self.frames: list[str] = []
-        self.device.step(0, [(0, b"\1\0")])
+        super().__init__(fingertip_node(5, self.gauges, self.gauges.n), emcy=True)
 
     def run(self, microseconds: int) -> None:
         for _ in range(microseconds // STEP_US):
-            self.clock.now_us += STEP_US
-            self.gauges.poll(self.clock.now_us)
-            sync = [(0x80, b"")] if self.clock.now_us % 10_000 == 0 else []
-            sent, _due = self.device.step(self.clock.now_us, sync)
-            self.emcy += [data.hex() for can_id, data in sent if can_id == 0x85]
-            self.frames = [data.hex() for can_id, data in sent if can_id == 0x185] or self.frames
+            self.now_us = self.clock.now_us = self.clock.now_us + STEP_US
+            self.gauges.poll(self.now_us)
+            self.step([(0x80, b"")] if self.now_us % 10_000 == 0 else [])
+
+    def frames_of(self, can_id: int) -> list[str]:
+        return [data.hex() for sent_id, data in self.sent if sent_id == can_id]
 
     def faults(self) -> int:
-        found = self.device.upload(0x2124, 0)
-        assert isinstance(found, bytes)
-        return int.from_bytes(found, "little")
+        return int(self.get("H", 0x2124))
 
 
 @pytest.fixture
 def node() -> Node:
     node = Node()
     node.run(500_000)
-    assert node.emcy[-1:] in ([], ["0000000800000000"])
-    node.emcy.clear()
+    assert node.frames_of(0x85)[-1:] in ([], ["0000000800000000"])
+    node.take()
     return node
 
 
 def test_a_silent_chip_is_said_within_two_tenths_of_a_second(node: Node) -> None:
-    counts = [node.device.upload(0x9100, sub) for sub in (1, 2, 3)]
-    assert [int.from_bytes(one, "little") for one in counts if isinstance(one, bytes)] == [100, 200, 300]
+    assert [node.get("i", 0x9100, sub) for sub in (1, 2, 3)] == [100, 200, 300]
     assert node.faults() == 0
     node.fakes[1].stuck = True
     node.run(200_000)
-    assert [one[:4] for one in node.emcy] == ["3050"]
+    assert [one[:4] for one in node.frames_of(0x85)] == ["3050"]
     assert node.faults() == NO_DATA
-    assert node.frames[-1][:12] == "008000800080"  # unknown, never an old value
+    assert node.frames_of(0x185)[-1][:12] == "008000800080"  # unknown, never an old value
     node.fakes[1].stuck = False
     node.run(500_000)
-    assert node.emcy[-1][:4] == "0000"
+    assert node.frames_of(0x85)[-1][:4] == "0000"
     assert node.faults() == 0
 
 
@@ -254,7 +248,7 @@ def test_the_end_of_the_range_is_saturated_and_for_long_a_broken_wire(node: Node
     node.signals[0][1] = 0
     node.run(100_000)
     assert node.faults() == 0
-    assert node.emcy[-1][:4] == "0000"
+    assert node.frames_of(0x85)[-1][:4] == "0000"
 
 
 def test_the_sample_period_is_never_shorter_than_the_chips_can_do(node: Node) -> None:

@@ -35,27 +35,6 @@ def test_no_fault_for_a_long_time() -> None:
     assert talk.get("H", 0x2124) == 0
 
 
-def test_stuck_gauge_is_seen_after_32_equal_readings() -> None:
-    talk = noisy()
-    talk.sync()
-    inject(talk, STUCK)
-    for _ in range(31):
-        assert not talk.sync().status & FAULT
-    frozen = talk.sync()
-    assert frozen.status == CALIBRATED | FAULT
-    assert frozen.gauges == frozen.contact == (UNKNOWN,) * 3
-    assert talk.get("H", 0x2124) == FROZEN
-    inject(talk, 0)
-    assert talk.sync().status == CALIBRATED | CONTACT
-    assert talk.get("H", 0x2124) == 0
-
-
-def test_gauges_quieter_than_a_count_may_stand_still() -> None:
-    talk = finger(load=PUSH)
-    for _ in range(100):
-        assert talk.sync().status == CALIBRATED | CONTACT
-
-
 def test_open_gauge_is_a_wire_break() -> None:
     talk = noisy()
     inject(talk, OPEN)

@@ -263,4 +263,5 @@ def autotare_signature(dut: Dut) -> None:
 
 
 settings_404("autotare_unknown 6139h: autotare without calibration: 08000022h", (),
-    uncalibrated, lambda dut: dut.refuses("I", 0x6139, gauges(dut) + 1, table.SIGNATURE_TARA, Abort.DEVICE_STATE))
+    uncalibrated, lambda dut: dut.refuses("I", 0x6139, gauges(dut) + 1, table.SIGNATURE_TARA, Abort.DEVICE_STATE),
+    do.refuses("H", 0x2130, 0, table.COMMAND_TARE, Abort.DEVICE_STATE))
