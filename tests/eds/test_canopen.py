@@ -244,6 +244,6 @@ def test_no_case_fails(content: str, tmp_path: Path) -> None:
 def test_random_frames_never_raise(tmp_path: Path) -> None:
     """A small share of `python -m bench.fuzz --eds`."""
     path = tmp_path / "generated.eds"
-    path.write_text(fuzz.generated_eds(60))
-    for file in (path, shipped_eds("cia402")):
+    path.write_text(GENERATED)
+    for file in (path, ROOT / "eds" / "tipforce-3.eds", shipped_eds("cia402")):
         assert fuzz.fuzz_file(file, 2000, seed=17) > 500
