@@ -3,7 +3,7 @@
     python -m bench.fuzz                          200 000 frames
     python -m bench.fuzz --frames 10_000_000      the long run
     python -m bench.fuzz --seed 1 --only 17       round 17 of seed 1 once more
-    python -m bench.fuzz --eds 500_000            steps of devices of EDS files: the fingertip's and a shipped one
+    python -m bench.fuzz --eds 500_000            steps of devices of EDS files: a fingertip's and a drive's
 
 A round is one node from power-on through some thousand frames; it follows from the seed and its number alone. When
 an invariant breaks, the frames of that round are reduced to the few that break it and printed.
@@ -25,6 +25,7 @@ from bench.fuzz_frames import Frame, Frames, Step, good_record
 from bench.measure import ROOT, arguments, machine
 
 from canopen_device.core import codes, emcy, storage
+from canopen_device.core.node import Device
 from canopen_device.core.sdo_block import MAX_BLOCK
 from canopen_device.core.sdo_server import MAX_DOWNLOAD_BYTES
 from canopen_device.eds.reader import read_eds
@@ -45,8 +46,6 @@ MOST_PER_FRAME = MAX_BLOCK + TPDOS
 MOST_PER_STEP = TPDOS + 3
 STATES = (codes.INITIALISING, codes.STOPPED, codes.OPERATIONAL, codes.PRE_OPERATIONAL)
 STRAIN_PER_NEWTON = ((8e-5, 1e-5, -2e-5), (-1e-5, 9e-5, 3e-5), (2e-5, -3e-5, 7e-5))
-FINGERTIP_EDS = ROOT / "eds" / "tipforce-3.eds"
-MOST_OF_FILES = 300  # sent by one step for each received: an SDO block of 127, and PDOs
 MOST_BUFFERED = max(MAX_DOWNLOAD_BYTES, 5000) + 7
 COMMIT_ANSWERED = struct.pack("<BHB4x", 0x60, 0x2104, 0)
 
@@ -61,36 +60,58 @@ def require(holds: object, what: str) -> None:
         raise BrokenError(what)
 
 
-def check_sent(now_us: int, due_us: int, sent: list[Frame], most: int) -> None:
-    """Raise BrokenError unless a step asked for a later one, and sent at most ``most`` frames, all of them valid."""
-    require(due_us >= now_us, f"due {due_us} before now {now_us}")
-    require(len(sent) <= most, f"{len(sent)} frames sent at once")
-    for can_id, data in sent:
-        require(type(can_id) is int and 0 <= can_id <= 0x7FF, f"identifier {can_id!r}")
-        require(type(data) is bytes and len(data) <= 8, f"data {data!r}")
-
-
 class Rig:
+    """A device of one round, stepped as itself or by its simulation. What it raises passes through."""
+
+    most_per_step = most_per_frame = 300  # sent: an SDO block of 127, and PDOs
+
+    def __init__(self, device: Device, simulated: SimulatedDevice | None = None, now_us: int = 0) -> None:
+        self.device = device
+        self._stepped = simulated or device
+        self.now_us = self.due_us = now_us
+        self.sdo_answers = 0  # in the last step
+        self.longest_s = 0.0
+
+    def step(self, step: Step) -> list[Frame]:
+        """Let time pass, hand the frames over, and check what is sent, which is returned."""
+        pause_us, frames = step
+        self.now_us += pause_us
+        self.device.requests.clear()
+        started_s = time.perf_counter()
+        sent, self.due_us = self._stepped.step(self.now_us, frames)
+        self.longest_s = max(self.longest_s, time.perf_counter() - started_s)
+        require(self.due_us >= self.now_us, f"due {self.due_us} before now {self.now_us}")
+        most = self.most_per_step + self.most_per_frame * len(frames)
+        require(len(sent) <= most, f"{len(sent)} frames sent at once")
+        for can_id, data in sent:
+            require(type(can_id) is int and 0 <= can_id <= 0x7FF, f"identifier {can_id!r}")
+            require(type(data) is bytes and len(data) <= 8, f"data {data!r}")
+        if sent:
+            self.sdo_answers = sum(can_id == 0x580 + self.device.node_id for can_id, _ in sent)
+        return sent
+
+
+class FingertipRig(Rig):
     """One node of a round, its store, and the invariants. ``number`` and ``seed`` determine how it starts."""
+
+    most_per_step, most_per_frame = MOST_PER_STEP, MOST_PER_FRAME
 
     def __init__(self, seed: int, number: int) -> None:
         rng = Random(f"{seed} {number} start")
-        self.now_us = int(rng.random() ** 4 * 1e15)
-        self.due_us = self.now_us
-        self.sdo_answers = 0  # in the last step
-        self.longest_s = 0.0
+        now_us = int(rng.random() ** 4 * 1e15)
         self._stored: dict[str, bytes] = {}
         self._store_fails = rng.random() < 0.1
         node_id = (5, 1, 127, codes.LSS_UNCONFIGURED)[int(rng.random() * 4)]
         eds = bytes(k * 7 & 0xFF for k in range(5000)) if rng.random() < 0.8 else b""
         stores = rng.random() < 0.9
         source = SimulatedSource(STRAIN_PER_NEWTON, 0.1 if rng.random() < 0.5 else 0.0, seed=number)
-        self.device = fingertip_node(
+        device = fingertip_node(
             node_id, source, 3, number, self._save if stores else None, self._stored.get if stores else None, eds
         )
-        assert isinstance(self.device.application, Fingertip)
-        self.application = self.device.application
-        self._values = len(self.device.od.values)
+        super().__init__(device, now_us=now_us)
+        assert isinstance(device.application, Fingertip)
+        self.application = device.application
+        self._values = len(device.od.values)
         if rng.random() < 0.5:
             self._stored["calibration"] = storage.with_crc(struct.pack("<fI", 1e4, 1) + good_record(rng))
         self._active = self.application.calibration.active_record()
@@ -101,22 +122,17 @@ class Rig:
             self._stored[group] = bytes(data)
         return not self._store_fails
 
-    def step(self, step: Step, fresh: bool = False) -> None:
-        """Let time pass, hand the frames over, and check everything."""
-        pause_us, frames = step
-        self.now_us += pause_us
+    def step(self, step: Step, fresh: bool = False) -> list[Frame]:
+        """The same, and check everything."""
+        _, frames = step
         device = self.device
         node_id, state = device.node_id, device.nmt.state
         lengths, emcy_id = self._tpdo_lengths(), device.od.integer(0x1014) & 0x7FF
         transfer = device.sdo._index if device.sdo.due_us != codes.NEVER_US else 0
-        started_s = time.perf_counter()
-        sent, self.due_us = device.step(self.now_us, frames)
-        self.longest_s = max(self.longest_s, time.perf_counter() - started_s)
-        check_sent(self.now_us, self.due_us, sent, MOST_PER_STEP + MOST_PER_FRAME * len(frames))
+        sent = super().step(step)
         require(device.nmt.state in STATES, f"NMT state {device.nmt.state}")
         node_ids = {node_id, device.node_id}
         if sent:
-            self.sdo_answers = sum(can_id == 0x580 + device.node_id for can_id, _ in sent)
             lengths |= self._tpdo_lengths()
             own = {codes.LSS_RESPONSE_COB_ID, emcy_id, device.od.integer(0x1014) & 0x7FF}
             own |= {base + number for base in (0x580, 0x700) for number in node_ids}
@@ -130,7 +146,7 @@ class Rig:
         answers = [data for can_id, data in sent if can_id - 0x580 in node_ids]
         self._check_calibration(answers, frames, transfer, fresh)
         self._check_sizes(frames)
-        device.requests.clear()
+        return sent
 
     def _tpdo_lengths(self) -> set[tuple[int, int]]:
         return {(pdo.can_id, pdo.length) for pdo in self.device.tpdos._pdos if pdo.active}
@@ -177,7 +193,7 @@ class Rig:
 
 def play(seed: int, number: int, frames: int, history: list[Step]) -> tuple[int, float]:
     """One round: (frames thrown, longest step in seconds). ``history`` receives the steps as they are made."""
-    rig = Rig(seed, number)
+    rig = FingertipRig(seed, number)
     source, thrown = Frames(Random(f"{seed} {number} frames"), rig), 0
     while thrown < frames:
         step = source.next()
@@ -203,7 +219,7 @@ def play_measured(seed: int, number: int, frames: int, history: list[Step]) -> t
 def breaks(seed: int, number: int, steps: list[Step]) -> str:
     """What goes wrong when a node of that round is handed these steps; empty if nothing does."""
     try:
-        rig = Rig(seed, number)
+        rig = FingertipRig(seed, number)
         for step in steps:
             rig.step(step)
     except BrokenError as error:
@@ -258,36 +274,18 @@ def rounds(seed: int, numbers: range, frames: int = ROUND_FRAMES, measure: bool 
     return thrown, longest_s, ""
 
 
-class FileRig:
-    """The device of a file in one round, and what must hold after each step. What it raises passes through."""
-
-    def __init__(self, path: Path, rng: Random) -> None:
-        eds, store = read_eds(path, 5), MemoryStore()
-        drive = Drive() if 0x6040 in eds.objects and 0x6060 in eds.objects else None
-        self._simulated = SimulatedDevice(eds, drive, None, store.save, store.load)
-        self.device = self._simulated.core
-        self.now_us = self.due_us = self.sdo_answers = 0
-        self._frames = Frames(rng, self)
-        self._simulated.step(0)
-
-    def step(self) -> int:
-        """Throw the next frames; return how many were sent."""
-        pause_us, frames = self._frames.next()
-        self.now_us += pause_us
-        sent, self.due_us = self._simulated.step(self.now_us, frames)
-        self.sdo_answers = sum(can_id == 0x580 + self.device.node_id for can_id, _ in sent)
-        check_sent(self.now_us, self.due_us, sent, MOST_OF_FILES * (1 + len(frames)))
-        self.device.requests.clear()
-        return len(sent)
-
-
 def fuzz_file(path: Path, steps: int, seed: int) -> int:
     """Throw so many steps of frames at the device of a file; return how many it sent. Raises BrokenError."""
     sent_frames = 0
     for number in range(0, steps, ROUND_FRAMES):
-        rig = FileRig(path, Random(f"{seed} {path.name} {number}"))
+        eds, store = read_eds(path, 5), MemoryStore()
+        drive = Drive() if 0x6040 in eds.objects and 0x6060 in eds.objects else None
+        simulated = SimulatedDevice(eds, drive, None, store.save, store.load)
+        rig = Rig(simulated.core, simulated)
+        frames = Frames(Random(f"{seed} {path.name} {number}"), rig)
         try:
-            sent_frames += sum(rig.step() for _ in range(min(ROUND_FRAMES, steps - number)))
+            rig.step((0, ()))
+            sent_frames += sum(len(rig.step(frames.next())) for _ in range(min(ROUND_FRAMES, steps - number)))
         except BrokenError as error:
             raise BrokenError(f"{path.name}, round {number}: {error}") from None
     return sent_frames
@@ -299,10 +297,10 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", type=int, help="play this round alone")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--eds", type=int, metavar="STEPS", help="of two devices of EDS files instead")
+    parser.add_argument("--eds", type=int, metavar="STEPS", help="of the devices of two EDS files instead")
     options = parser.parse_args()
     if options.eds:
-        for file in (FINGERTIP_EDS, shipped_eds("cia402")):
+        for file in (ROOT / "eds" / "tipforce-3.eds", shipped_eds("cia402")):
             print(f"{file.name}: {options.eds} steps, {fuzz_file(file, options.eds, 1)} frames sent, nothing raised")
         return 0
     count = -(-options.frames // ROUND_FRAMES)

@@ -23,6 +23,7 @@ from canopen_device.testing import MemoryStore
 from conformance.fingertip import all_cases, matching, run_in_process
 from conformance.minimal import MinimalDevice
 from device.tiny import service_dictionary
+from tipforce.fingertip import channels
 
 Sent = list[tuple[int, bytes]]
 NODE_ID = 5
@@ -131,6 +132,8 @@ def vendor_alone(self: LssSlave, part: int, number: int) -> tuple[int, int]:
     return part, self._identity(part) if part else number
 
 
+NARROW_FORMS = tuple((form, channels.MAX_I16, unknown) for form, _, unknown in channels._FORMS)
+
 # fault -> the cases that are to find it, and how it gets into the device
 FAULTS: dict[str, tuple[str, Injection]] = {
     "upload toggle not checked": ("sdo_seg*", arguments(SdoServer, "_upload_segment", toggle_of_request)),
@@ -158,6 +161,7 @@ FAULTS: dict[str, tuple[str, Injection]] = {
     "oldest error first": ("emcy.*", replaced(Emcy, "_read_history", oldest_first)),
     "any signature stores": ("storage.*", arguments(Storage, "_write_command", lambda _, sub, _v, s: (sub, s, s))),
     "LSS selects by the vendor": ("lss.*", arguments(LssSlave, "_select", vendor_alone)),
+    "9130h as narrow as 7130h": ("profile_404.overload*", replaced(channels, "_FORMS", NARROW_FORMS)),
     "LSS takes any node-id": ("lss.*", replaced(lss, "_valid_node_id", lambda _node_id: True)),
 }
 

@@ -96,7 +96,7 @@ def test_a_device_of_an_eds_alone_and_on_a_bus(copied: Path, code: str, requirem
 
 def test_its_own_tests_pass(copied: Path) -> None:
     """Those that need nothing else, without the slow ones."""
-    slow = (Path(__file__).name, "test_stateful.py", "test_limits.py", "test_odd_files.py", "test_loop.py")
+    slow = (Path(__file__).name, "test_fuzz.py", "test_limits.py", "test_odd_files.py", "test_loop.py")
     chosen = [
         path
         for part in ("device", "eds", "running")

@@ -140,7 +140,9 @@ def test_crc_of_the_standard(function: Callable[..., int]) -> None:
 
 
 def test_block_uploads_of_nothing_without_a_switch_and_that_the_client_forgets_or_gives_up() -> None:
-    loaded(b"").say("> 605#A40520007F000000\n< 585#C605200000000000")
+    nothing = "< 585#8100000000000000\n"  # one segment without bytes, which comes again when it was lost
+    again = "> 605#A2007F0000000000\n" + nothing + "> 605#A2017F0000000000\n< 585#DD00000000000000"
+    loaded(b"").say("> 605#A40520007F000000\n< 585#C605200000000000\n> 605#A300000000000000\n" + nothing + again)
     loaded().say(BEGIN_UPLOAD + f"+ {TIMEOUT_US - 1}\n+ 1\n< 585#8005200000000405")
     abort = "> 605#8005200000000008\n"
     loaded().say(BEGIN_UPLOAD + START + "\n".join(SEGMENTS) + "\n" + abort + f"+ {TIMEOUT_US}")

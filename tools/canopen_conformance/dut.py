@@ -51,7 +51,7 @@ class Dut:
         self.pdo_id = self.upload_index = 0
         self._pending: deque[Frame] = deque(maxlen=_KEPT)
         self._survey: dict[tuple[int, int], bool] = {}
-        self._of_product: bool | None = None
+        self._product_code: int | None = None
         self._starts_by_itself: bool | None = None
         self._own_sync: list[tuple[int, bytes]] | None = None
         self._fresh = False  # as after a reset: since then only objects were read
@@ -385,11 +385,11 @@ class Dut:
 
     def is_of_product(self) -> bool:
         """Return whether 1018h:2 is a product code of ``product``."""
-        if self._of_product is None:
-            code = self.try_read(0x1018, 2) if self.product else 0
-            self._of_product = (
-                self.product is not None
-                and isinstance(code, bytes)
-                and int.from_bytes(code, "little") & self.product.mask == self.product.code
-            )
-        return self._of_product
+        return self.product is not None and self.product_code() & self.product.mask == self.product.code
+
+    def product_code(self) -> int:
+        """Return 1018h:2, which is read once; 0 where it cannot be read."""
+        if self._product_code is None:
+            data = self.try_read(0x1018, 2)
+            self._product_code = int.from_bytes(data, "little") if isinstance(data, bytes) else 0
+        return self._product_code

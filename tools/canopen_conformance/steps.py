@@ -1,13 +1,15 @@
 """The steps of a case as values: ``do.put("H", 0x1017, 0, 20)`` calls ``Dut.put`` so when the case runs.
 
-A step is any function of the Dut: a case is a sequence of them, or one function of its own.
+A step is any function of the Dut: a case is a sequence of them, or one function of its own. Arguments that only the
+running case knows are ``late``.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 from canopen_conformance.case import Step, check
 from canopen_conformance.dut import Dut
@@ -19,7 +21,30 @@ T = TypeVar("T")
 
 def step(function: Callable[Concatenate[Dut, P], T]) -> Callable[P, Callable[[Dut], T]]:
     """Make of a function of the Dut and further arguments one of these alone that returns the step."""
-    return lambda *arguments, **named: lambda dut: function(dut, *arguments, **named)
+
+    def of(*arguments: Any, **named: Any) -> Callable[[Dut], T]:
+        def taken(dut: Dut) -> T:
+            values: Any = [given.read(dut) if isinstance(given, _Late) else given for given in arguments]
+            return function(dut, *values, **named)
+
+        return taken
+
+    return of
+
+
+class _Late(NamedTuple):
+    """A positional argument that a step reads when it is taken."""
+
+    read: Step
+
+
+def late(function: Callable[Concatenate[Dut, P], T]) -> Callable[P, T]:
+    """Make of a function of the Dut and further arguments one of these alone that stands for its value in a step."""
+
+    def of(*arguments: Any, **named: Any) -> Any:
+        return _Late(step(function)(*arguments, **named))
+
+    return of
 
 
 def run(function: Callable[Concatenate[Dut, P], object], *arguments: P.args, **named: P.kwargs) -> Step:
@@ -71,6 +96,27 @@ def unchanged(dut: Dut, /, kind: str, index: int, sub: int, *steps: Step) -> Non
     for taken in steps:
         taken(dut)
     dut.holds(kind, index, sub, before)
+
+
+@step
+def near(dut: Dut, /, index: int, sub: int, value: float, within: float, kind: str = "f") -> None:
+    """Check that a number reads as ``value`` within so much."""
+    value_read = dut.number(kind, index, sub)
+    check(abs(value_read - value) <= within, f"{index:04X}h:{sub:02X} = {value:g} (+-{within:g})", str(value_read))
+
+
+@step
+def known(dut: Dut, /, index: int, sub: int, is_known: bool) -> None:
+    """Check whether a REAL32 is a number or unknown, as NaN."""
+    value = dut.number("f", index, sub)
+    check(math.isnan(value) != is_known, f"{index:04X}h:{sub:02X} {'known' if is_known else 'unknown'}", str(value))
+
+
+@step
+def reads(dut: Dut, /, index: int, data: bytes) -> None:
+    """Check the bytes of sub-index 0."""
+    data_read = dut.read(index)
+    check(data_read == data, f"{index:04X}h = {data.hex(' ')}", data_read.hex(" "))
 
 
 nmt = step(Dut.nmt)

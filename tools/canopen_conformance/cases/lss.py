@@ -105,15 +105,10 @@ def selective(dut: Dut) -> None:
     check(data == b"\x44" + bytes(7) and configured, "44h and the configuration state", data.hex(" "))
 
 
-@case("6.3.2: switch state selective with another {1}: silence", IDENTITY, each=list(enumerate(PARTS)))
-def selective_other(dut: Dut, part: int, _name: str) -> None:
-    numbers = identity(dut)
-    numbers[part] ^= 1
-    select(dut, numbers)
-    say(dut, 0x5E)
-    dut.silence(SLAVE)
-
-
+other = do.late(lambda dut, part: [number ^ (k == part) for k, number in enumerate(identity(dut))])
+for part, name in enumerate(PARTS):
+    case(f"selective_other 6.3.2: switch state selective with another {name}: silence", IDENTITY,
+        do.run(select, other(part)), do.run(say, 0x5E), do.silence(SLAVE))
 case("selective_incomplete 6.3.2: switch state selective without its first request: silence", IDENTITY,
     lambda dut: say_each(dut, SELECTIVE, list(enumerate(identity(dut)))[1:]), do.silence(SLAVE))
 case("selective_order 6.3.2: switch state selective in another order: silence", IDENTITY,
@@ -235,11 +230,9 @@ def identified(dut: Dut) -> None:
     check(data == b"\x4f" + bytes(7), "4F and zeros", data.hex(" "))
 
 
-@numbered("6.6.1: identify remote slave: the ends of the ranges may lie apart", IDENTITY)
-def identified_in_range(dut: Dut) -> None:
-    own = identity(dut)
-    say_each(dut, IDENTIFY, enumerate([own[0], own[1], 0, 0xFFFFFFFF, 0, 0xFFFFFFFF]))
-    slave_answer(dut)
+widest = do.late(lambda dut: enumerate([*identity(dut)[:2], 0, 0xFFFFFFFF, 0, 0xFFFFFFFF]))
+numbered("identified_in_range 6.6.1: identify remote slave: the ends of the ranges may lie apart", IDENTITY,
+    do.run(say_each, IDENTIFY, widest()), slave_answer)
 
 
 @numbered("6.6.1: identify remote slave: {2} is not this device's: silence", IDENTITY, each=[

@@ -9,12 +9,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from canopen_conformance import steps as do
-from canopen_conformance.case import CheckError, Service, check
+from canopen_conformance.case import Service, Step, check
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import RESET_NODE, RESETS, Abort
 from canopen_device.core import codes
 from tipforce.dictionary import table, table_objects
-from tipforce_tools.fingertip_cases.profile import gauges, settle
+from tipforce_tools.fingertip_cases.profile import F1, P, channel, gauges, settle, sub_of
 
 # fmt: off
 # A table: a case is its header, and below it its steps.
@@ -26,7 +26,7 @@ NEWTONS_PER_STRAIN = 5000.0
 ON_N, OFF_N = 0.5, 0.3
 
 
-def record(dut: Dut, **changed: float) -> bytes:
+def record(dut: Dut, /, **changed: float) -> bytes:
     """A calibration record of which gauges 1 to 3 give F1 to F3; ``changed`` names fields as "2110:4" says it."""
     values: list[float] = []
     n = gauges(dut)
@@ -48,9 +48,8 @@ def stage(dut: Dut, data: bytes) -> None:
     dut.put("I", 0x2103, 1, binascii.crc32(data))
 
 
-def stage_record(dut: Dut) -> None:
-    """Stage the record as it is without changes."""
-    stage(dut, record(dut))
+made = do.late(record)
+stage_record = do.run(stage, made())  # without changes
 
 
 def commit(dut: Dut, data: bytes) -> None:
@@ -73,23 +72,18 @@ def not_committed(dut: Dut, code: int, /, **changed: float) -> None:
     refused(dut, code)
 
 
-@calibration("2141h: the staged record is written and read as one byte string")
-def staged(dut: Dut) -> None:
-    data = record(dut)
-    stage(dut, data)
-    check(dut.read(0x2141) == data, "the record", "another one")
-    dut.holds("f", 0x2100, 1, NEWTONS_PER_STRAIN)
-    dut.holds("f", 0x2110, 4, ON_N)
+crc = do.late(lambda dut, **changed: binascii.crc32(record(dut, **changed)))
+commit_record = do.run(commit, made())
+commit_staged = do.put("I", 0x2104, 0, table.SIGNATURE_COMMIT)
 
 
-@calibration("2141h: a record of {0:+d} bytes is refused, the staged one stays", each=[
-    (1, Abort.TOO_LONG), (-1, Abort.TOO_SHORT),
-])
-def staged_size(dut: Dut, more: int, code: int) -> None:
-    data = record(dut)
-    stage(dut, data)
-    dut.refuses_bytes(0x2141, 0, (data + b"\0")[: len(data) + more], code)
-    check(dut.read(0x2141) == data, "the record", "another one")
+calibration("staged 2141h: the staged record is written and read as one byte string", (),
+    stage_record, do.reads(0x2141, made()), do.holds("f", 0x2100, 1, NEWTONS_PER_STRAIN),
+    do.holds("f", 0x2110, 4, ON_N))
+resized = do.late(lambda dut, more: record(dut)[:-1] if more < 0 else record(dut) + b"\0")
+for more, code in ((1, Abort.TOO_LONG), (-1, Abort.TOO_SHORT)):
+    calibration(f"staged_size 2141h: a record of {more:+d} bytes is refused, the staged one stays", (),
+        stage_record, do.refuses_bytes(0x2141, 0, resized(more), code), do.reads(0x2141, made()))
 
 
 @calibration("2141h: a load sense of 2 in a record is refused")
@@ -102,23 +96,13 @@ def staged_sense(dut: Dut) -> None:
     dut.refuses("B", 0x2110, 6, 2, Abort.TOO_HIGH)
 
 
-@calibration("2103h: 2103h:2 is the CRC-32 of the staged record")
-def staged_crc(dut: Dut) -> None:
-    data = record(dut, x2102_1=77)
-    stage(dut, data)
-    dut.holds("I", 0x2103, 2, binascii.crc32(data))
-    dut.put("I", 0x2102, 1, 78)
-    dut.holds("I", 0x2103, 2, binascii.crc32(record(dut, x2102_1=78)))
-
-
-@calibration("2102h: 2102h:5 is the condition number of the staged matrix")
-def condition(dut: Dut) -> None:
-    stage(dut, record(dut, x2100_1=4 * NEWTONS_PER_STRAIN))
-    condition = dut.number("f", 0x2102, 5)
-    check(abs(condition - 4.0) <= 1e-4, "4", str(condition))
-    dut.put("f", 0x2100, 1, 0.0)
-    dut.holds("f", 0x2102, 5, math.inf)
-    dut.refuses("f", 0x2102, 5, 1.0, Abort.READ_ONLY)
+calibration("staged_crc 2103h: 2103h:2 is the CRC-32 of the staged record", (),
+    do.run(stage, made(x2102_1=77)), do.holds("I", 0x2103, 2, crc(x2102_1=77)), do.put("I", 0x2102, 1, 78),
+    do.holds("I", 0x2103, 2, crc(x2102_1=78)))
+calibration("condition 2102h: 2102h:5 is the condition number of the staged matrix", (),
+    do.run(stage, made(x2100_1=4 * NEWTONS_PER_STRAIN)), do.near(0x2102, 5, 4.0, 1e-4),
+     do.put("f", 0x2100, 1, 0.0), do.holds("f", 0x2102, 5, math.inf),
+     do.refuses("f", 0x2102, 5, 1.0, Abort.READ_ONLY))
 
 
 @calibration("2104h: a commit activates: CRC, generation, 2140h, status bit 1")
@@ -133,14 +117,8 @@ def committed(dut: Dut) -> None:
     check(dut.integer("B", 0x2120) & 2, "status bit 1", "clear")
 
 
-@calibration("2104h: a staged write changes nothing that is active")
-def staged_only(dut: Dut) -> None:
-    data = record(dut)
-    commit(dut, data)
-    dut.put("f", 0x2100, 1, 1.0)
-    check(dut.read(0x2140) == data, "the committed record", "another one")
-
-
+calibration("staged_only 2104h: a staged write changes nothing that is active", (),
+    commit_record, do.put("f", 0x2100, 1, 1.0), do.reads(0x2140, made()))
 for signature in (0, 0x74696D64, 0x65766173):
     calibration("wrong_signature 2104h: a wrong signature: 08000020h", (),
         stage_record, do.refuses("I", 0x2104, 0, signature, Abort.NOT_STORED))
@@ -164,8 +142,8 @@ for what, value in (("a singular", 0.0), ("an ill-conditioned", 0.1)):
     calibration(f"ill_conditioned 2104h: {what} matrix: 06090031h", (),
         do.run(not_committed, Abort.TOO_HIGH, x2100_1=value))
 calibration("condition_limit 2105h: a lower condition limit refuses what was allowed", (),
-    lambda dut: stage(dut, record(dut, x2100_1=4 * NEWTONS_PER_STRAIN)), do.put("f", 0x2105, 1, 3.0),
-    do.run(refused, Abort.TOO_HIGH), do.put("f", 0x2105, 1, 5.0), do.put("I", 0x2104, 0, table.SIGNATURE_COMMIT))
+    do.run(stage, made(x2100_1=4 * NEWTONS_PER_STRAIN)), do.put("f", 0x2105, 1, 3.0), do.run(refused, Abort.TOO_HIGH),
+    do.put("f", 0x2105, 1, 5.0), commit_staged)
 for value, code in ((0.5, Abort.TOO_LOW), (math.nan, Abort.INVALID_VALUE)):
     calibration(f"condition_limit_range 2105h: a condition limit of {value} is refused", (),
         do.refuses("f", 0x2105, 1, value, code))
@@ -181,28 +159,20 @@ def with_lock(dut: Dut) -> Iterator[None]:
         dut.put("I", 0x2105, 3, table.SIGNATURE_OPEN)
 
 
-@calibration("2105h: locked: staged writes and commit are refused with 08000022h")
-def locked(dut: Dut) -> None:
-    data = record(dut)
-    stage(dut, data)
-    with with_lock(dut):
-        dut.refuses("f", 0x2100, 1, 1.0, Abort.DEVICE_STATE)
-        dut.refuses("B", 0x2110, 6, 1, Abort.DEVICE_STATE)
-        dut.refuses_bytes(0x2141, 0, data, Abort.DEVICE_STATE)
-        dut.refuses("f", 0x2105, 1, 10.0, Abort.DEVICE_STATE)
-        dut.refuses("B", 0x2105, 2, 0, Abort.DEVICE_STATE)
-        refused(dut, Abort.DEVICE_STATE)
-        dut.holds("B", 0x2105, 2, 1)
-    dut.put("I", 0x2104, 0, table.SIGNATURE_COMMIT)
-
-
+calibration("locked 2105h: locked: staged writes and commit are refused with 08000022h", (),
+    stage_record, do.within(with_lock,
+        do.refuses("f", 0x2100, 1, 1.0, Abort.DEVICE_STATE), do.refuses("B", 0x2110, 6, 1, Abort.DEVICE_STATE),
+        do.refuses_bytes(0x2141, 0, made(), Abort.DEVICE_STATE), do.refuses("f", 0x2105, 1, 10.0, Abort.DEVICE_STATE),
+        do.refuses("B", 0x2105, 2, 0, Abort.DEVICE_STATE), do.run(refused, Abort.DEVICE_STATE),
+        do.holds("B", 0x2105, 2, 1)),
+    commit_staged)
 for command, name in RESETS:
     calibration(f"lock_kept 2105h: the lock outlives {name}", (),
         do.within(with_lock, do.reset(command), do.refuses("f", 0x2100, 1, 1.0, Abort.DEVICE_STATE)))
 calibration("wrong_unlock 2105h: unlocking with a wrong signature: 08000020h, still locked", (),
     do.within(with_lock, do.refuses("I", 0x2105, 3, 0x6E65706E, Abort.NOT_STORED), do.holds("B", 0x2105, 2, 1)))
 calibration("active_read_only 2140h: the active record cannot be written", (),
-    lambda dut: dut.refuses_bytes(0x2140, 0, record(dut), Abort.READ_ONLY))
+    do.refuses_bytes(0x2140, 0, made(), Abort.READ_ONLY))
 
 
 def loaded(dut: Dut, newtons: float) -> None:
@@ -215,30 +185,15 @@ def loaded(dut: Dut, newtons: float) -> None:
     settle(dut)
 
 
-@calibration("2120h: contact: bit 0, P is the size of F")
-def contact(dut: Dut) -> None:
-    loaded(dut, 5.0)
-    n = gauges(dut)
-    force, magnitude = dut.number("f", 0x6130, n + 1), dut.number("f", 0x6130, n + 4)
-    if not dut.integer("B", 0x2120) & 1 or abs(force - 5) > 0.5 or abs(magnitude - abs(force)) > 0.5:
-        raise CheckError("contact present, F1 = 5 N, P = 5 N", f"F1 {force}, P {magnitude}")
-
-
+calibration("contact 2120h: contact: bit 0, P is the size of F", (),
+    do.run(loaded, 5.0), do.near(0x6130, F1, 5, 0.5), do.near(0x6130, P, 5, 0.5),
+    do.matches("B", 0x2120, 0, 1, 1, "contact present"))
 calibration("zero_in_contact CiA 404 6125h: autozero is refused while contact is present: 08000022h", (),
     do.run(loaded, 5.0), do.refuses("I", 0x6125, 1, table.SIGNATURE_ZERO, Abort.DEVICE_STATE),
     do.refuses("H", 0x2130, 0, table.COMMAND_ZERO, Abort.DEVICE_STATE))
-
-
-@calibration("CiA 404 6139h: autotare takes the force as zero; command 2 clears it")
-def tare(dut: Dut) -> None:
-    loaded(dut, 5.0)
-    n = gauges(dut)
-    dut.put("I", 0x6139, n + 1, table.SIGNATURE_TARA)
-    settle(dut)
-    if abs(dut.number("f", 0x6130, n + 1)) > 0.5 or abs(dut.number("f", 0x2111, 1) - 5) > 0.5:
-        raise CheckError("F1 = 0, tare 5 N", f"{dut.number('f', 0x6130, n + 1)}")
-    dut.put("H", 0x2130, 0, table.COMMAND_CLEAR_TARE)
-    dut.holds("f", 0x2111, 1, 0.0)
+calibration("tare CiA 404 6139h: autotare takes the force as zero; command 2 clears it", (),
+    do.run(loaded, 5.0), do.put("I", 0x6139, F1, table.SIGNATURE_TARA), settle, do.near(0x6130, F1, 0, 0.5),
+    do.near(0x2111, 1, 5, 0.5), do.put("H", 0x2130, 0, table.COMMAND_CLEAR_TARE), do.holds("f", 0x2111, 1, 0.0))
 
 
 @calibration("2100h: 1010h:4 stores the active record, 1011h:4 forgets it", ((0x1010, 4),), persistent=True)
@@ -287,77 +242,51 @@ def forces(dut: Dut, _what: str, bit: int, field: str) -> None:
     loaded(dut, 5.0)
     commit(dut, record(dut, **{field: 4.0}))
     settle(dut)
-    faults, n = dut.integer("H", 0x2124), gauges(dut)
+    faults, p = dut.integer("H", 0x2124), channel(dut, "magnitude")
     check(faults & (BEYOND | OVERLOAD) == 1 << bit, f"bit {bit} alone of bits 13 and 15", f"{faults:04X}h")
-    known = not math.isnan(dut.number("f", 0x6130, n + 4))
-    check(known == (bit == 13), "P known" if bit == 13 else "P unknown", "known" if known else "unknown")
-    dut.holds("B", 0x6150, n + 4, 0 if bit == 13 else 3)
+    do.known(0x6130, p, bit == 13)(dut)
+    dut.holds("B", 0x6150, p, 0 if bit == 13 else 3)
 
 
-@validity("2113h: a gauge at its converter limit is saturated")
-def converter_limit(dut: Dut) -> None:
-    loaded(dut, 5.0)
-    commit(dut, record(dut, x2113_1=4.0 / NEWTONS_PER_STRAIN))
-    settle(dut)
-    dut.holds("B", 0x6150, 1, 3)
-    faults = dut.integer("H", 0x2124)
-    check(faults & 1, "bit 0 of 2124h", f"{faults:04X}h")
+validity("converter_limit 2113h: a gauge at its converter limit is saturated", (),
+    do.run(loaded, 5.0), do.run(commit, made(x2113_1=4.0 / NEWTONS_PER_STRAIN)), settle, do.holds("B", 0x6150, 1, 3),
+    do.matches("H", 0x2124, 0, 1, 1, "bit 0 of 2124h"))
 
 
-@validity("6149h: {0} outside its span: 6150h {2:02X}h, and the value is {3}", each=[
-    ("a gauge", 1, 3, "unknown"), ("P", 0, 3, "shown"),
-])
-def span(dut: Dut, _what: str, sub: int, status: int, shown: str) -> None:
-    loaded(dut, 5.0)
-    sub = sub or gauges(dut) + 4
-    settle(dut)
-    dut.put("f", 0x6149, sub, 0.5 * dut.number("f", 0x6130, sub))
-    settle(dut)
-    dut.holds("B", 0x6150, sub, status)
-    known = not math.isnan(dut.number("f", 0x6130, sub))
-    check(known == (shown == "shown"), shown, "shown" if known else "unknown")
+half = do.late(lambda dut, part: 0.5 * dut.number("f", 0x6130, channel(dut, part)))
+for what, part, status, shown in (("a gauge", "gauge", 3, "unknown"), ("P", "magnitude", 3, "shown")):
+    validity(f"span 6149h: {what} outside its span: 6150h {status:02X}h, and the value is {shown}", (),
+        do.run(loaded, 5.0), settle, do.put("f", 0x6149, sub_of(part), half(part)), settle,
+        do.holds("B", 0x6150, sub_of(part), status), do.known(0x6130, sub_of(part), shown == "shown"))
 
 
-@validity("2126h: {0} counts where it changes a value, and only then", each=[
+@do.step
+def counts(dut: Dut, /, more: int, *steps: Step) -> None:
+    """Take the steps, and check that the counter of changes went up so far."""
+    before = dut.integer("B", 0x2126)
+    for taken in steps:
+        taken(dut)
+    dut.holds("B", 0x2126, 0, before + more & 0xFF)
+
+
+for what, kind, at, sub, number in (
     ("a process value offset", "f", 0x6124, 1, 7.0), ("a span", "f", 0x6149, 1, 999.0), ("a filter", "B", 0x61A0, 1, 1),
     ("a transmission type", "B", 0x1802, 2, 7), ("1019h", "B", 0x1019, 0, 9),
     ("the identifier of SYNC", "I", 0x1005, 0, 0x91), ("that of EMCY", "I", 0x1014, 0, 0x80000091),
     ("the heartbeat", "H", 0x1017, 0, 997), ("an inhibit time", "H", 0x1802, 3, 5),
     ("an event timer", "H", 0x1802, 5, 500), ("a SYNC start value", "B", 0x1802, 6, 3),
     ("a limit of an interrupt", "f", 0x6135, 1, 5.0),
-])
-def counted(dut: Dut, _what: str, kind: str, index: int, sub: int, value: float) -> None:
-    before = dut.integer("B", 0x2126)
-    dut.put(kind, index, sub, value)
-    dut.holds("B", 0x2126, 0, before + 1 & 0xFF)
-    dut.put(kind, index, sub, value)
-    dut.holds("B", 0x2126, 0, before + 1 & 0xFF)
-
-
-@validity("2126h: {0} written back as it was read does not count", each=[
+):
+    validity(f"counted 2126h: {what} counts where it changes a value, and only then", (),
+        counts(1, do.put(kind, at, sub, number)), counts(0, do.put(kind, at, sub, number)))
+for what, at, sub in (
     ("an interrupt limit", 0x6135, 1), ("its INTEGER16 form", 0x7135, 1), ("a span", 0x6148, 4), ("1005h", 0x1005, 0),
-])
-def written_back(dut: Dut, _what: str, index: int, sub: int) -> None:
-    before = dut.integer("B", 0x2126)
-    abort = dut.try_write(index, sub, dut.read(index, sub))
-    check(not abort, "accepted", f"abort {abort:08X}")
-    dut.holds("B", 0x2126, 0, before)
-
-
-@validity("2126h: a commit, a tare and its end count; a commit of the same record does not")
-def counted_commands(dut: Dut) -> None:
-    loaded(dut, 5.0)
-    n, before = gauges(dut), dut.integer("B", 0x2126)
-    commit(dut, record(dut))
-    dut.holds("B", 0x2126, 0, before)
-    commit(dut, record(dut, x2102_1=78))
-    dut.holds("B", 0x2126, 0, before + 1 & 0xFF)
-    settle(dut)
-    dut.put("I", 0x6139, n + 1, table.SIGNATURE_TARA)
-    dut.holds("B", 0x2126, 0, before + 2 & 0xFF)
-    dut.put("H", 0x2130, 0, table.COMMAND_CLEAR_TARE)
-    dut.holds("B", 0x2126, 0, before + 3 & 0xFF)
-
-
+):
+    validity(f"written_back 2126h: {what} written back as it was read does not count", (),
+        counts(0, do.refuses_bytes(at, sub, do.late(Dut.read)(at, sub), 0)))
+validity("counted_commands 2126h: a commit, a tare and its end count; a commit of the same record does not", (),
+    do.run(loaded, 5.0), counts(0, commit_record), counts(1, do.run(commit, made(x2102_1=78))), settle,
+    counts(1, do.put("I", 0x6139, F1, table.SIGNATURE_TARA)),
+    counts(1, do.put("H", 0x2130, 0, table.COMMAND_CLEAR_TARE)))
 validity("counter_at_boot 2126h: 0 after a boot", (),
     do.put("f", 0x6124, 1, 7.0), do.reset(RESET_NODE), do.holds("B", 0x2126, 0, 0))
