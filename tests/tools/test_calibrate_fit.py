@@ -64,6 +64,7 @@ def test_text_tells_all(data: Path, sim: Simulated, printed: Printed) -> None:
         "saturated: line 17: SG2 is left out", "1 degree costs about 1 % of P and 1 degree of phi or theta",
     ):  # fmt: skip
         assert text in out
+    assert "loaded rows scatter" not in out
     assert len([line for line in out.splitlines() if line.startswith("   4.400")]) >= 17
     assert err == ""
 
