@@ -57,15 +57,6 @@ class Block:
         return cls(np.zeros(rows, dtype=np.int64), contact, u, strains, np.zeros((rows, fingers), dtype=np.uint16))
 
 
-def status_of(columns: Mapping[str, npt.NDArray[Any]], shape: tuple[int, ...]) -> npt.NDArray[np.uint16]:
-    """Bits of ``Status`` from the columns of flags, sent or computed; ``shape`` is that of each column."""
-    status = np.zeros(shape, dtype=np.uint16)
-    for name, bit in reasons.BITS.items():
-        if name in columns:
-            status |= (columns[name] == 1).astype(np.uint16) * np.uint16(bit)
-    return status
-
-
 def contact_values(
     columns: Mapping[str, npt.NDArray[Any]],
     strain: FloatArray,

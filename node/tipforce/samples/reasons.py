@@ -4,10 +4,15 @@ of ``Status``: the status byte 2120h, three bits of the host, and bits 12 to 15 
 from __future__ import annotations
 
 import enum
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
 
 from tipforce.dictionary import table
 from tipforce.sensor.contact import scalar
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
 
 
 class Status(enum.IntFlag):
@@ -195,3 +200,14 @@ def not_seen(node_ids: Iterable[int]) -> str:
         f"node {shown}: neither TPDO4 nor EMCY, so gauges that contradict each other, overload, temperature and "
         "extrapolation could not be seen (2124h bits 12 to 15; TPDO4 is off by default)"
     )
+
+
+def status_of(columns: Mapping[str, npt.NDArray[Any]], shape: tuple[int, ...]) -> npt.NDArray[np.uint16]:
+    """Bits of ``Status`` from the columns of flags, sent or computed; ``shape`` is that of each column."""
+    import numpy  # what only shows reasons loads none
+
+    status = numpy.zeros(shape, dtype=numpy.uint16)
+    for name, bit in BITS.items():
+        if name in columns:
+            status |= (columns[name] == 1).astype(numpy.uint16) * numpy.uint16(bit)
+    return status

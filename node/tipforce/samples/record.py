@@ -21,9 +21,9 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.health import NAMES
 from tipforce.host.decoding.sample_table import Layout, divisor_of
 from tipforce.samples import reasons
-from tipforce.samples.columns import Block, contact_values, status_of, uncertainties
+from tipforce.samples.columns import Block, contact_values, uncertainties
 from tipforce.samples.contact import Contact, Fields
-from tipforce.samples.reasons import PRESENT, Status
+from tipforce.samples.reasons import PRESENT, Status, status_of
 
 Column = npt.NDArray[Any]
 COUNTER = "counter"

@@ -19,8 +19,7 @@ from tipforce.host.decoding.health import lost_gauges
 from tipforce.host.decoding.judged import Judge, Readings, Still, frozen_gauges
 from tipforce.host.decoding.sample_table import NODE_BITS, Table, Values, computed, flag, in_order, missing_of
 from tipforce.samples import reasons
-from tipforce.samples.columns import status_of
-from tipforce.samples.reasons import Status
+from tipforce.samples.reasons import Status, status_of
 
 NEEDED_FLAGS = ("stale", "fault", "saturated")
 """The node's own word that a gauge reading is none."""
