@@ -7,9 +7,11 @@ if TYPE_CHECKING:
 
 
 def lazy(package: "Mapping[str, object]") -> "tuple[Callable[[str], object], Callable[[], list[str]], list[str]]":
-    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package, whose globals are given. The names are those
-    that its source imports for type checkers, one a line: " from MODULE import NAME as PUBLIC"; a program without
-    sources has them in the code of the package."""
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package, whose globals are given.
+
+    The names are those that its source imports for type checkers, one a line: " from MODULE import NAME as PUBLIC"; a
+    program without sources has them in the code of the package.
+    """
     spec: object = package["__spec__"]
     loader, path = spec.loader, spec.origin  # type: ignore[attr-defined]
     places: dict[str, tuple[str, str]] = {}

@@ -55,9 +55,12 @@ def parse(line: str) -> Frame:
 
 
 class Conversation:
-    """All frames to and from one device. ``sent`` holds the frames of the device that no line has named yet. ``device``
-    is a ``Device``, or what has its ``node_id`` and ``step``. ``emcy`` False hides its EMCY messages: "nothing else was
-    sent" then speaks of all other services."""
+    """All frames to and from one device.
+
+    ``sent`` holds the frames of the device that no line has named yet. ``device`` is a ``Device``, or what has its
+    ``node_id`` and ``step``. ``emcy`` False hides its EMCY messages: "nothing else was sent" then speaks of all other
+    services.
+    """
 
     def __init__(self, device: Any, now_us: int = 0, emcy: bool = False) -> None:
         self.device = device

@@ -1,6 +1,7 @@
 """The data types of the dictionary: codes, names, sizes, bytes and text (CiA 301, 7.4.7; CiA 309-3, data types). A type
 is named by a letter: that of ``struct``, "s" a VISIBLE_STRING, "o" an OCTET_STRING, "u" a UNICODE_STRING, "D" a DOMAIN,
-"t" TIME_OF_DAY and "T" TIME_DIFFERENCE (six bytes), "i3" to "i7" and "u3" to "u7" integers of 24 to 56 bits."""
+"t" TIME_OF_DAY and "T" TIME_DIFFERENCE (six bytes), "i3" to "i7" and "u3" to "u7" integers of 24 to 56 bits.
+"""
 
 from __future__ import annotations
 
@@ -102,9 +103,11 @@ def encode(letter: str, value: Value) -> bytes:
 
 
 def decode(letter: str, data: bytes) -> Value:
-    """The value of bytes from the wire; unknown values (NaN, 0x8000) come back as they are. Raises InputError where the
-    length does not fit the type. Control characters in a text, and characters outside ASCII in a VISIBLE_STRING, show
-    as escapes: what a device sent is never a reason to fail."""
+    """The value of bytes from the wire; unknown values (NaN, 0x8000) come back as they are.
+
+    Raises InputError where the length does not fit the type. Control characters in a text, and characters outside ASCII
+    in a VISIBLE_STRING, show as escapes: what a device sent is never a reason to fail.
+    """
     kind = data_type(letter)
     if kind.size is not None:
         if len(data) != kind.size:

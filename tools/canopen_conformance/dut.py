@@ -325,9 +325,7 @@ class Dut:
 
     def put(self, kind: str, index: int, sub: int, value: float, required: bool = False) -> None:
         """Download a number that the case needs as its precondition: not applicable if the device may refuse it.
-
-        ``required``: a device whose object can be written must take it.
-        """
+        ``required``: a device whose object can be written must take it."""
         code = self.try_write(index, sub, struct.pack("<" + kind, value))
         shown = f"{value:g}" if kind == "f" else f"{int(value):X}h"
         if code == Abort.READ_ONLY:
@@ -350,10 +348,8 @@ class Dut:
         self.refuses_bytes(index, sub, struct.pack("<" + kind, value), *codes)
 
     def refuses_bytes(self, index: int, sub: int, data: bytes, *codes: int) -> None:
-        """Check that writing bytes is aborted with one of ``codes``; not applicable if the object is read-only.
-
-        A device with limits may name these for an invalid value.
-        """
+        """Check that writing bytes is aborted with one of ``codes``; not applicable if the object is read-only. A
+        device with limits may name these for an invalid value."""
         code = self.try_write(index, sub, data)
         if code == Abort.READ_ONLY and code not in codes:
             raise NotApplicableError(f"{index:04X}h:{sub:02X} cannot be written")

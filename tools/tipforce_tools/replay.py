@@ -143,8 +143,10 @@ _TEXT_SUFFIXES = {".log", ".txt"}  # python-can's reader of .log supports neithe
 
 def log_blocks(name: str, parser: CandumpParser) -> Iterator[CandumpBlock]:
     """Yield the frames of a log in bounded memory: candump text (also .gz and .zst), or a format of python-can.
+
     ``parser`` counts the bad lines of text; if it is strict, BadLineError is raised at the first, after the frames
-    before it. Raises InputError for a file that cannot be read."""
+    before it. Raises InputError for a file that cannot be read.
+    """
     path = Path(name)
     suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() not in {".gz", ".zst"}]
     is_text = not suffixes or suffixes[-1] in _TEXT_SUFFIXES

@@ -40,8 +40,10 @@ class Emcy(Timed):
 
     def reset(self, whole: bool) -> None:
         """Discard queued messages and each active error whose monitor restarts with this reset: not those of the
-        controller, after a communication reset also not the application's. The history stays until power-off or a 0 in
-        1003h:0."""
+        controller, after a communication reset also not the application's.
+
+        The history stays until power-off or a 0 in 1003h:0.
+        """
         lowest = CAN_OVERRUN if whole else 0
         self._active = {key: bits for key, bits in self._active.items() if lowest <= key[0] <= ERROR_PASSIVE}
         self._waiting: "list[bytes]" = []

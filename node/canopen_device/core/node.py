@@ -87,11 +87,13 @@ class Application:
 
 
 class Device:
-    """One CANopen node. Call ``step`` with the received frames and the time; send the frames that it returns.
-    ``now_us`` never wraps; where it goes back, the device's own time stays ahead from then on. The loop empties
-    ``requests``, (name, value, milliseconds): ("reset-node", 0, 0) and ("reset-communication", 0, 0) report a reset
-    that was done, ("bit-rate", bit/s, delay) requests a switch of the bus (CiA 305, 6.4.4), ("bus-restart", 0, 0) a
-    restart after bus-off."""
+    """One CANopen node.
+
+    Call ``step`` with the received frames and the time; send the frames that it returns. ``now_us`` never wraps; where
+    it goes back, the device's own time stays ahead from then on. The loop empties ``requests``, (name, value,
+    milliseconds): ("reset-node", 0, 0) and ("reset-communication", 0, 0) report a reset that was done, ("bit-rate",
+    bit/s, delay) requests a switch of the bus (CiA 305, 6.4.4), ("bus-restart", 0, 0) a restart after bus-off.
+    """
 
     def __init__(
         self,

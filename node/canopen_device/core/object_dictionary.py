@@ -28,8 +28,11 @@ REAL32_MAX = 3.4028234663852886e38
 
 def encode(kind: str, value: "Value") -> bytes:
     """Return ``value`` as little-endian bytes; ``kind`` is struct's letter, "s" a string, "D" bytes, "u3" to "u7" and
-    "i3" to "i7" integers of 24 to 56 bits (``wide_types``). Integers are limited to their range here because
-    MicroPython's struct wraps where CPython's raises; a float beyond REAL32 becomes an infinity with its sign."""
+    "i3" to "i7" integers of 24 to 56 bits (``wide_types``).
+
+    Integers are limited to their range here because MicroPython's struct wraps where CPython's raises; a float beyond
+    REAL32 becomes an infinity with its sign.
+    """
     if kind == "D":
         return value  # type: ignore[return-value]
     if kind == "s":
@@ -76,7 +79,8 @@ class ObjectDictionary:
 
     ``dummies`` are the types that an RPDO may map as placeholders (7.4.7.1). ``changed()`` is called after a write that
     changes an entry with the flag COUNTED; ``edited`` is set by a change of any setting but 1020h. ``packer(keys)``
-    returns a function that packs a TPDO with this mapping, or None where it has no faster one."""
+    returns a function that packs a TPDO with this mapping, or None where it has no faster one.
+    """
 
     def __init__(self, node_id: int) -> None:
         self.node_id = node_id

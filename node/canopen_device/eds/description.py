@@ -25,9 +25,12 @@ MOST_VALUE_BYTES = 64 << 20
 
 @dataclass(slots=True)
 class Entry:
-    """One sub-index. ``default`` and ``value`` (ParameterValue, None without one) include the node-id. ``directions``
-    are those of the PDOs that may map it: the flags TPDO and RPDO of ``device.object_dictionary``. ``access`` is ro,
-    wo, rw, rwr, rww or const; ``letter`` one of ``dictionary.types``; ``line`` that of its section."""
+    """One sub-index.
+
+    ``default`` and ``value`` (ParameterValue, None without one) include the node-id. ``directions`` are those of the
+    PDOs that may map it: the flags TPDO and RPDO of ``device.object_dictionary``. ``access`` is ro, wo, rw, rwr, rww or
+    const; ``letter`` one of ``dictionary.types``; ``line`` that of its section.
+    """
 
     index: int
     sub: int
@@ -76,9 +79,12 @@ class Object:
 
 @dataclass(slots=True)
 class Description:
-    """A device as its file describes it, for one node-id. ``findings`` are in the order of the lines. ``bit_rates`` are
-    those that [DeviceInfo] allows, in bit/s; ``bit_rate`` is that of a DCF. ``dummies`` are the data types that an RPDO
-    may map as placeholders, None if the file does not say. ``is_dcf``: it configures one node."""
+    """A device as its file describes it, for one node-id.
+
+    ``findings`` are in the order of the lines. ``bit_rates`` are those that [DeviceInfo] allows, in bit/s; ``bit_rate``
+    is that of a DCF. ``dummies`` are the data types that an RPDO may map as placeholders, None if the file does not
+    say. ``is_dcf``: it configures one node.
+    """
 
     path: Path
     node_id: int
@@ -130,8 +136,10 @@ class Description:
 
     def find(self, key: int | tuple[int, int] | str) -> Entry:
         """The entry of an index (its only or first value), of (index, sub), of ``"0x6064"``, ``"6041h:00"``, or a name.
+
         A name is the ParameterName, "Object name/Entry name" for an entry of a record; case and spaces do not matter.
-        Raises InputError with the nearest names, and for a name that several entries have."""
+        Raises InputError with the nearest names, and for a name that several entries have.
+        """
         if isinstance(key, str):
             match = _NUMERIC.fullmatch(key.strip())
             if match is None:

@@ -77,8 +77,10 @@ def shortened(text: str) -> str:
 @dataclass(slots=True)
 class EdsFile:
     """The sections of a file by their names in lower case; objects, their subs and their lists by number.
+
     ``lists[index]`` holds the sections "name", "value" and "denotation" of a compact object. ``content``: the bytes of
-    the file, those of its sections for an XDD."""
+    the file, those of its sections for an XDD.
+    """
 
     sections: dict[str, Section] = field(default_factory=dict)
     objects: dict[int, Section] = field(default_factory=dict)

@@ -31,9 +31,12 @@ _MOST_WAITING = 4096
 
 
 class DeviceApplication:
-    """What a simulated device does beyond CANopen. Every method may be overridden; this class does nothing.
-    ``self.device`` is the device: ``self.device[0x6064] = 100`` sets a value and sends the PDOs that are due on it. The
-    methods run in the thread of the bus loop and must not wait; an exception ends the loop."""
+    """What a simulated device does beyond CANopen.
+
+    Every method may be overridden; this class does nothing. ``self.device`` is the device: ``self.device[0x6064] =
+    100`` sets a value and sends the PDOs that are due on it. The methods run in the thread of the bus loop and must not
+    wait; an exception ends the loop.
+    """
 
     device: SimulatedDevice
     period_s = 0.01
@@ -58,10 +61,13 @@ class DeviceApplication:
 
 
 class SimulatedDevice:
-    """One simulated CANopen device. ``device[key]`` reads and writes a value, also while it runs in another thread. A
-    key is an index (0x6064), (index, sub-index), "0x6064:00", "6064h", or the ParameterName of the EDS. A value that is
-    set, or written by a master, sends the event-driven PDOs that map it. Raises InputError for a key that the device
-    does not have and a value that is not of its type."""
+    """One simulated CANopen device.
+
+    ``device[key]`` reads and writes a value, also while it runs in another thread. A key is an index (0x6064), (index,
+    sub-index), "0x6064:00", "6064h", or the ParameterName of the EDS. A value that is set, or written by a master,
+    sends the event-driven PDOs that map it. Raises InputError for a key that the device does not have and a value that
+    is not of its type.
+    """
 
     def __init__(
         self, description: Description, application: DeviceApplication | None = None,

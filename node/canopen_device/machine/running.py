@@ -55,9 +55,11 @@ def made_device(
     values: Mapping[Any, Value] | None = None, signals: Mapping[Key, Signal] | None = None, store: str = "",
     folder: Path | None = None,
 ) -> SimulatedDevice:  # fmt: skip
-    """Return a device: ``eds`` "cia402" is the shipped drive, ``application`` also a name, ``store`` a file. A text
-    among ``values`` is read as its entry's type. ``folder`` is that of the file that names the others. Raises
-    InputError, with ``folder`` for a file that is not below it, too."""
+    """Return a device: ``eds`` "cia402" is the shipped drive, ``application`` also a name, ``store`` a file.
+
+    A text among ``values`` is read as its entry's type. ``folder`` is that of the file that names the others. Raises
+    InputError, with ``folder`` for a file that is not below it, too.
+    """
     shipped = eds == CIA402 and not path_of(folder, eds, "eds").exists()
     description = read_eds(shipped_eds(CIA402) if shipped else path_of(folder, eds, "eds"), node_id)
     if isinstance(application, str | None):
@@ -119,7 +121,8 @@ def simulated_device(
     memory. ``values`` are set once, ``signals`` all the time.
 
     Raises InputError for the file, the node-id, a key or a value; EnvironmentLackError for a bus that cannot be opened;
-    at the end of the block, the error that ended the device."""
+    at the end of the block, the error that ended the device.
+    """
     with simulated_devices([device_from_file(path, node_id, application, values, signals)], bus) as devices:
         yield devices[0]
 

@@ -1,6 +1,7 @@
 """CAN frames as UDP multicast (python-can's `udp_multicast`), without the frames that a bus object sent itself. The
 network returns a sender's own datagrams, because other programs of the same machine also need them. A CANopen node that
-received its own frames would report a collision of COB-IDs (EMCY 8150h)."""
+received its own frames would report a collision of COB-IDs (EMCY 8150h).
+"""
 
 from __future__ import annotations
 

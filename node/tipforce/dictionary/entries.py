@@ -1,7 +1,8 @@
 """Entries of the dictionary: what to read or write, how bytes become a value, and what the table says of each.
 ``objects`` unfolds the table's runs into an ``Entry`` for each sub-index. ``resolve`` finds what a person writes:
 ``calibration.matrix:3``, ``0x2103:04``, ``2103h:04``. After a dotted name the sub-index is decimal, because it counts;
-after an index hexadecimal, because it continues that number, as ``str(entry)`` prints it."""
+after an index hexadecimal, because it continues that number, as ``str(entry)`` prints it.
+"""
 
 from __future__ import annotations
 

@@ -22,9 +22,11 @@ _UNCERTAINTIES = (("u_P", "N"), ("u_phi", "degree"), ("u_theta", "degree"))
 @dataclass(frozen=True, slots=True)
 class Signal:
     """One quantity in a message: value = raw x ``scale`` + ``offset``, in ``unit``; little-endian from ``start_bit``.
+
     Where ``big_endian`` (only in foreign messages), ``start_bit`` counts from the lowest bit of the last byte.
     ``minimum`` and ``maximum`` are in ``unit``; ``unknown`` is the raw value that stands for no value (None: there is
-    none, or, where ``real``, it is NaN). ``index`` and ``sub`` say which object it was mapped from."""
+    none, or, where ``real``, it is NaN). ``index`` and ``sub`` say which object it was mapped from.
+    """
 
     name: str
     start_bit: int

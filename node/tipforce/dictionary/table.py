@@ -4,7 +4,8 @@ generated. Plain tuples in the subset that CPython and MicroPython share, becaus
 An object is ``(index, object_code, name, slug, entries)``; a run of equal entries is ``(sub, count, name, slug, type,
 access, flags, default, low, high, unit)``. ``name`` and ``default`` are tuples where the entries of one run differ. The
 type is the letter of ``struct``, "s" a VISIBLE_STRING, "D" a DOMAIN. ``table_objects`` has the objects; its
-``objects()`` adds sub-index 0 where an object does not state its own."""
+``objects()`` adds sub-index 0 where an object does not state its own.
+"""
 
 from canopen_device.core import codes, communication, object_dictionary
 from tipforce.dictionary import indices

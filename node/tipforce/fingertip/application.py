@@ -152,10 +152,12 @@ class Fingertip(Application):
                 self._latch(now_us, self._counter if by_sync else 0, not by_sync)
 
     def _latch(self, now_us: int, number: int = 0, counts: bool = True, waits: bool = False) -> None:
-        """Take the newest reading; without a new one the last sample stands, marked stale. ``waits``: it stands as it
-        was, until there is a new one or a fault; a converter may be slower than 6114h. With 1019h the counter (2121h)
-        is the number of the SYNC, 0 for a latch without SYNC; otherwise it counts samples, and a stale one, or one
-        between two SYNCs that shows a fault, repeats it."""
+        """Take the newest reading; without a new one the last sample stands, marked stale.
+
+        ``waits``: it stands as it was, until there is a new one or a fault; a converter may be slower than 6114h. With
+        1019h the counter (2121h) is the number of the SYNC, 0 for a latch without SYNC; otherwise it counts samples,
+        and a stale one, or one between two SYNCs that shows a fault, repeats it.
+        """
         before = self.sample
         sample = self._sampled(now_us)
         if waits and sample.stale and sample.faults == before.faults:

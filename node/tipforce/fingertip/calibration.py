@@ -24,8 +24,10 @@ _MOST_LEFT = 12  # kept for gauges left out: memory stays bounded whatever gauge
 
 class Active:
     """One calibration, unpacked: ``C`` is three rows in N per strain, ``noise`` the covariance of the gauges.
+
     ``forces``, ``range_degC`` and ``model`` are 2112h; ``converter`` 2113h and ``per_kelvin`` 2114h, None where all are
-    zero; ``gain_per_kelvin`` 2115h; ``redundancy`` 2116h. ``checked``: a sample has something to be judged by."""
+    zero; ``gain_per_kelvin`` 2115h; ``redundancy`` 2116h. ``checked``: a sample has something to be judged by.
+    """
 
     def __init__(self, record: bytes, values: "list[float]", n: int) -> None:
         self.record = record

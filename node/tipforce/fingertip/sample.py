@@ -33,7 +33,8 @@ class Sample:
     per gauge, microstrain.
 
     A gauge that is saturated, outside its span, frozen or contradicts the others is lost. With more than three gauges
-    the others give the force as long as they have rank 3 (``spared``); status bit 2 and 2124h show the loss."""
+    the others give the force as long as they have rank 3 (``spared``); status bit 2 and 2124h show the loss.
+    """
 
     __slots__ = (
         "_contact", "_covariance", "_early", "_force", "_uncertainty", "_unknown", "_was_present", "active",

@@ -26,9 +26,12 @@ class _Sample:
 
 
 class Assembler:
-    """Samples of the nodes whose PDOs are ``pdos``: by identifier the node-id and the layout. ``needed``: the PDOs with
-    which a sample is complete, with the time of the last; samples without them are dropped. Empty: complete when no PDO
-    can join any more, with the time of the first. Faults (2124h) are held as TPDO4 and EMCY tell them."""
+    """Samples of the nodes whose PDOs are ``pdos``: by identifier the node-id and the layout.
+
+    ``needed``: the PDOs with which a sample is complete, with the time of the last; samples without them are dropped.
+    Empty: complete when no PDO can join any more, with the time of the first. Faults (2124h) are held as TPDO4 and EMCY
+    tell them.
+    """
 
     def __init__(
         self, pdos: Mapping[int, tuple[int, Message]], needed: Sequence[str] = (), gauges: int = 0,

@@ -22,10 +22,8 @@ _DOUBTS = np.uint16(sum(reasons.COMPUTED.values()) & ~Status.CONTACT)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """m rows of k fingers with n gauges, or, without the axis of the fingers, m samples of one finger.
-
-    The history of a page keeps them as float32.
-    """
+    """m rows of k fingers with n gauges, or, without the axis of the fingers, m samples of one finger. The history of a
+    page keeps them as float32."""
 
     t_ns: npt.NDArray[np.int64]
     """(m,) time of each SYNC, or of reception."""
@@ -116,9 +114,7 @@ def _estimated(
 
 def uncertainties(contact: FloatArray, calibrations: Sequence[Calibration | None]) -> FloatArray:
     """Standard uncertainties (m, k, 3) of contacts (m, k, 3) of k fingers, in newtons and degrees, from gauge noise.
-
-    NaN for a finger without a calibration, and for what is unknown itself.
-    """
+    NaN for a finger without a calibration, and for what is unknown itself."""
     u = np.full(contact.shape, np.nan)
     for pull in (False, True):
         finger_of = {k: c for k, c in enumerate(calibrations) if c is not None and c.pull == pull}

@@ -1,7 +1,5 @@
-"""Samples as columns, the rows of a hand, and one sample as named values.
-
-What frames carry is kept as raw words; a column is made when it is first read.
-"""
+"""Samples as columns, the rows of a hand, and one sample as named values. What frames carry is kept as raw words; a
+column is made when it is first read."""
 
 from __future__ import annotations
 
@@ -247,9 +245,7 @@ class Rows:
         health_u_P: FloatArray | None = None, faults: npt.NDArray[np.int64] | None = None,
     ) -> Block:  # fmt: skip
         """Return the rows with contact and uncertainty, computed from forces or gauges where no PDO carries them.
-
-        ``health_u_P`` (m, k) is used as u(P) if no calibration is known; ``faults`` (m, k) is 2124h.
-        """
+        ``health_u_P`` (m, k) is used as u(P) if no calibration is known; ``faults`` (m, k) is 2124h."""
         samples, shape = self.samples(calibrations, gauges, calibrated=True), self.counter.shape
         contact, u = samples.contact.reshape(*shape, 3), samples.uncertainties.reshape(*shape, 3)
         carried, status = samples.gauges.shape[-1], samples.status.reshape(shape)
@@ -299,10 +295,8 @@ def joined(rows: list[Rows]) -> Rows:
 
 
 class RowContacts:
-    """Makes the contacts of rows, each field when it is read; ``names`` and ``calibrations``: of ``node_ids``.
-
-    Contacts that no PDO carries are computed, all at once.
-    """
+    """Makes the contacts of rows, each field when it is read; ``names`` and ``calibrations``: of ``node_ids``. Contacts
+    that no PDO carries are computed, all at once."""
 
     def __init__(
         self, node_ids: Sequence[int], names: Sequence[str], calibrations: Sequence[Calibration | None] = ()

@@ -6,7 +6,8 @@ discarded.
 
 Frames are processed one after another, as raw words: a bus gives a few at a time, for which numpy's calls cost more.
 While each SYNC follows the last and every answer is to it, the compiled core does so (``rows`` of _core.c), with a
-state of its own; the first other frame brings the state back (``_leave``), and the loop here goes on."""
+state of its own; the first other frame brings the state back (``_leave``), and the loop here goes on.
+"""
 
 from __future__ import annotations
 
@@ -284,9 +285,11 @@ class RowAssembler:
         self._gap_rows -= steps - 1
 
     def _settle(self, before: int) -> None:
-        """Store the held answers that the number of this SYNC decides on; the last one was that of row ``before``. The
-        count went on, so that they are right. One ahead of its SYNC is right if the SYNC was not received and it came
-        in its place, else doubtful."""
+        """Store the held answers that the number of this SYNC decides on; the last one was that of row ``before``.
+
+        The count went on, so that they are right. One ahead of its SYNC is right if the SYNC was not received and it
+        came in its place, else doubtful.
+        """
         for (row, slot), (last, word, state) in list(self._held.items()):
             if row <= self._last:
                 right = row <= last or (last == before and not self._rows[row].received)

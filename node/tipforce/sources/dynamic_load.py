@@ -1,6 +1,7 @@
 """The elastic force at the gauges when the load changes faster than the tip follows: the structure's modes, stepped.
 Plain floats, for a node's simulated source. ``tipforce.sensor.dynamics.first_order_hold`` computes the coefficients and
-documents the theory; for a load that is linear during a step the result is exact for any step length."""
+documents the theory; for a load that is linear during a step the result is exact for any step length.
+"""
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -14,9 +15,12 @@ if TYPE_CHECKING:
 
 
 class DynamicLoad:
-    """Modes at rest under zero load. ``coefficients`` has one (load row, hold, force column) per mode, valid for one
-    step length (``held.node_coefficients(modes, step_s)``): modal load per newton of F1, F2, F3 (3); p11, p12, p21,
-    p22, start and end weight of the position, of the velocity (8); F1, F2, F3 in newtons per modal position (3)."""
+    """Modes at rest under zero load.
+
+    ``coefficients`` has one (load row, hold, force column) per mode, valid for one step length
+    (``held.node_coefficients(modes, step_s)``): modal load per newton of F1, F2, F3 (3); p11, p12, p21, p22, start and
+    end weight of the position, of the velocity (8); F1, F2, F3 in newtons per modal position (3).
+    """
 
     def __init__(self, coefficients: "Coefficients") -> None:
         self.coefficients = coefficients
@@ -52,9 +56,11 @@ class DynamicLoad:
 
 class DynamicForces:
     """The elastic force under ``applied(now_us)``, stepped by ``step_us`` from the time of the first call on.
+
     ``dynamics`` is built for steps of ``step_us``, which is the sample period of the source (6114h) or an integer
     fraction of it; within a step the load is linear. It starts in equilibrium under the first load. Steps are also
-    computed for conversions that are not read, so the force does not depend on how often the node reads."""
+    computed for conversions that are not read, so the force does not depend on how often the node reads.
+    """
 
     def __init__(self, dynamics: "DynamicLoad", applied: "Callable[[int], Forces]", step_us: int) -> None:
         if step_us < 1:

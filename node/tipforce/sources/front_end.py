@@ -1,7 +1,8 @@
 """Front end of a simulated node: the chain from the strain of the gauges to the counts of the converter. Bridge,
 amplifier, temperature, noise, conversion: only the configured parts are built. All of them work on the signal in
 microstrain referred to the gauges, so volts occur only once, as counts per microstrain. Errors here are ValueErrors
-that name the argument: this file keeps to the subset that MicroPython supports."""
+that name the argument: this file keeps to the subset that MicroPython supports.
+"""
 
 import math
 
@@ -33,9 +34,12 @@ def _check(name: str, value: float, above: float = -math.inf) -> float:
 
 
 class Bridge:
-    """A Wheatstone bridge of equal resistors. Volts per volt of excitation, e the strain, k the gauge factor: quarter k
-    e / (4 + 2 k e), half (two gauges in neighbouring arms, one in tension, one in compression) k e / 2, full k e. Only
-    the quarter bridge is nonlinear: it measures e / (1 + k e / 2)."""
+    """A Wheatstone bridge of equal resistors.
+
+    Volts per volt of excitation, e the strain, k the gauge factor: quarter k e / (4 + 2 k e), half (two gauges in
+    neighbouring arms, one in tension, one in compression) k e / 2, full k e. Only the quarter bridge is nonlinear: it
+    measures e / (1 + k e / 2).
+    """
 
     def __init__(self, kind: str = QUARTER, gauge_factor: float = 2.0, excitation_volts: float = 3.3) -> None:
         if kind not in _ARMS:
@@ -132,11 +136,12 @@ class OneOverFNoise:
     """Noise of density ``a`` / sqrt(f) microstrain per square root of hertz, one-sided, ``a`` the density at 1 Hz.
 
     A sum of first-order (Ornstein-Uhlenbeck) processes of equal variance with ``PER_DECADE`` corner frequencies per
-    decade from ``lowest_hz`` to ``highest_hz``. One of variance s^2 and corner f_c has the spectrum
-    (2 s^2 / (pi f_c)) / (1 + (f / f_c)^2); corners a factor q apart add up to s^2 / (ln(q) f) between the ends, so
-    s^2 = a^2 ln(q). A decade inside either end the spectrum is 3 % below 1/f, below ``lowest_hz`` it is flat, above
-    ``highest_hz`` it falls with 1/f^2. Each process is stepped exactly from one conversion to the next, for any time
-    between them, and starts stationary."""
+    decade from ``lowest_hz`` to ``highest_hz``. One of variance s^2 and corner f_c has the spectrum (2 s^2 / (pi f_c))
+    / (1 + (f / f_c)^2); corners a factor q apart add up to s^2 / (ln(q) f) between the ends, so s^2 = a^2 ln(q). A
+    decade inside either end the spectrum is 3 % below 1/f, below ``lowest_hz`` it is flat, above ``highest_hz`` it
+    falls with 1/f^2. Each process is stepped exactly from one conversion to the next, for any time between them, and
+    starts stationary.
+    """
 
     def __init__(
         self, microstrain_at_1_hz: float, random: "Random", lowest_hz: float = 1e-3, highest_hz: float = 100.0
@@ -177,11 +182,13 @@ class OneOverFNoise:
 
 class FrontEnd:
     """Convert strain in microstrain to counts (``bits`` 16 or 24) through the configured parts, in signal order.
+
     ``bridge`` and ``gain`` with ``reference_volts`` (None: the excitation, a ratiometric converter) set the counts per
     microstrain; without ``gain`` the full scale is 3276.8 microstrain. ``temperature`` (degC) is the value of 2122h;
     ``apparent_strain`` (microstrain per degC, one or one per gauge) and ``gain_drift_ppm`` (per degC) need it.
     ``white_noise`` is in microstrain, ``one_over_f`` in microstrain at 1 Hz, or (that, lowest Hz, highest Hz). Raises
-    ValueError. ``parts`` change the signal; ``converter`` is (bits, counts per microstrain)."""
+    ValueError. ``parts`` change the signal; ``converter`` is (bits, counts per microstrain).
+    """
 
     def __init__(
         self, bits: int = 16, bridge: "Bridge | None" = None, gain: "float | None" = None,

@@ -5,7 +5,8 @@ tolerance: supply (bit 11). A device that returns is opened again at the same pl
 
 Converters of another board are polled through libiio's network daemon (iiod), with ``pylibiio`` (extra ``iio``). Every
 exchange is a round trip, so a reading of three channels takes milliseconds; libiio's own time-out bounds how long a
-lost connection blocks the node's loop."""
+lost connection blocks the node's loop.
+"""
 
 from __future__ import annotations
 
@@ -31,9 +32,12 @@ WIRE_BREAK, SUPPLY = 1 << table.FAULT_WIRE_BREAK, 1 << table.FAULT_SUPPLY
 
 
 class IioSource(Source):
-    """The channels of one or more devices, in the order of the gauges. ``ends`` are the lowest and the highest count,
-    the same for all. ``supply_fault`` is called every 40 ms and returns whether the bridge supply is out of tolerance.
-    ``scan_period_us`` is the time between scans of a buffer, if known. ``clock`` measures the duration of a read."""
+    """The channels of one or more devices, in the order of the gauges.
+
+    ``ends`` are the lowest and the highest count, the same for all. ``supply_fault`` is called every 40 ms and returns
+    whether the bridge supply is out of tolerance. ``scan_period_us`` is the time between scans of a buffer, if known.
+    ``clock`` measures the duration of a read.
+    """
 
     watch_us = WATCH_US
 

@@ -1,7 +1,8 @@
 """Buffered capture of Linux Industrial I/O: a trigger starts each scan; the kernel time-stamps and stores it. The
 sequence follows the kernel's documentation (iio/iio_devbuf, iio/iio_configfs): select the channels in
 ``scan_elements``, name the trigger, enable the buffer, read whole scans from ``/dev/iio:deviceN``. A scan holds the
-enabled channels in the order of their index, each aligned to its own size, the 64-bit time stamp last."""
+enabled channels in the order of their index, each aligned to its own size, the 64-bit time stamp last.
+"""
 
 from __future__ import annotations
 
@@ -57,9 +58,12 @@ def value_of(scan: bytes, offset: int, kind: ScanType) -> int:
 
 
 class BufferedDevice(PolledDevice):
-    """Channels of one device through its buffer; ``trigger`` is a name, or empty. ``read`` returns the newest scan up
-    to the requested time (by monotonic time stamps), so that a filter that catches up processes each scan once. Raises
-    EnvironmentLackError if the device has no buffer or the kernel rejects the set-up."""
+    """Channels of one device through its buffer; ``trigger`` is a name, or empty.
+
+    ``read`` returns the newest scan up to the requested time (by monotonic time stamps), so that a filter that catches
+    up processes each scan once. Raises EnvironmentLackError if the device has no buffer or the kernel rejects the
+    set-up.
+    """
 
     polled = False
     _fd = -1

@@ -1,7 +1,8 @@
 """Linux Industrial I/O through sysfs: the present converters, their channels, scales and raw values. The kernel's
 contract is Documentation/ABI/testing/sysfs-bus-iio: (raw + offset) * scale is in millivolts for a voltage and in
 thousandths of a degree Celsius for a temperature. All functions take the root directory, so that a test can pass its
-own. They raise OSError if the kernel returns an error, and InputError for a name that matches nothing."""
+own. They raise OSError if the kernel returns an error, and InputError for a name that matches nothing.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Error budget of P, phi, theta: each cause propagated through C, the calibration and the contact to first order. A
 cause is a set of independent elementary errors; the covariance of F is the sum of their outer products, for each load.
-A fixed offset, gain, shift or angle is not noise: its row is the scatter of the estimates of many such sensors."""
+A fixed offset, gain, shift or angle is not noise: its row is the scatter of the estimates of many such sensors.
+"""
 
 from __future__ import annotations
 
@@ -193,9 +194,12 @@ def elementary_errors(sensor: Sensor, loads: Loads, causes: Causes) -> tuple[dic
 
 
 def _calibration_errors(F: FloatArray, causes: Causes, noise: FloatArray) -> dict[str, FloatArray]:
-    """Return the errors of F from noise and angles of the calibration. The fit uses F_i for the load F_i + angle F'_i:
-    its strain is wrong by A F'_i, the fit by A F'_i G_i^T N^-1 and a reading by -F'_i (G_i^T N^-1 G), for any A. N has
-    the loads and as many unloaded readings; G^T N^-1 G is the part of one reading's variance that propagates to F."""
+    """Return the errors of F from noise and angles of the calibration.
+
+    The fit uses F_i for the load F_i + angle F'_i: its strain is wrong by A F'_i, the fit by A F'_i G_i^T N^-1 and a
+    reading by -F'_i (G_i^T N^-1 G), for any A. N has the loads and as many unloaded readings; G^T N^-1 G is the part of
+    one reading's variance that propagates to F.
+    """
     hung = groove_loads()
     G, each = _with_one(hung.F), _with_one(F)
     solved = np.linalg.solve(G.T @ G + np.diag([0.0, 0.0, 0.0, float(len(G))]), each.T)

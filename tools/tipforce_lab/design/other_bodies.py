@@ -1,6 +1,7 @@
 """The comparators [5] and [11], other materials and smaller bodies: strain, noise and largest load, by beam theory. The
 material values are typical ones of data sheets (assumed: the paper names AISI 4340 alone, without values); replace them
-by those of the sheet that is bought. Yield is static; repeated loads need a fatigue limit."""
+by those of the sheet that is bought. Yield is static; repeated loads need a fatigue limit.
+"""
 
 from __future__ import annotations
 
@@ -81,7 +82,9 @@ MATERIALS = (
 
 def figures_of(geometry: Geometry, material: Material, gauges: Layout) -> Record:
     """Return the figures of a body made of a material, keys as in _FIGURES_COLUMNS: loads over all contacts and
-    directions that reach the yield stress, or close a slit of PAPER_SLIT_M. Raises InputError for an unusable layout.
+    directions that reach the yield stress, or close a slit of PAPER_SLIT_M.
+
+    Raises InputError for an unusable layout.
     """
     body = replace(geometry, youngs_modulus_pascals=material.youngs_modulus_pascals)
     stress, noise = worst_stress(body, 1.0), strain.noise_gain(strain.calibration_matrix(body, gauges))

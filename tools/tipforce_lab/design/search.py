@@ -1,7 +1,8 @@
 """Search for better structures within a manufacturer's limits: multi-start over dimensions and gauge places. Each
 distribution of the gauges over the faces of the beams (mirror images count once) is one configuration, whose variables
 are continuous: sequential quadratic programming (scipy's SLSQP) from random starts, with exact derivatives (a complex
-step through Table 1)."""
+step through Table 1).
+"""
 
 from __future__ import annotations
 
@@ -170,9 +171,11 @@ Score = Callable[[FloatArray], tuple[float, FloatArray]]
 
 
 def score(objective: Objective, loads: LoadSet) -> Score:
-    """Return the logarithm of an objective: u_theta, sqrt(trace(C C^T)), 1 / smallest singular value, or condition. A
-    thousandth of the noise is added to the condition number, which alone does not determine the beams' thickness.
-    Raises InputError for an unknown objective."""
+    """Return the logarithm of an objective: u_theta, sqrt(trace(C C^T)), 1 / smallest singular value, or condition.
+
+    A thousandth of the noise is added to the condition number, which alone does not determine the beams' thickness.
+    Raises InputError for an unknown objective.
+    """
     if objective not in OBJECTIVES:
         raise InputError(f"objective {objective!r} is not known: allowed are {', '.join(OBJECTIVES)}")
     if objective in ("theta", "noise"):
@@ -262,8 +265,11 @@ def search(
     done: Callable[[], None] = lambda: None,
 ) -> list[Design]:
     """Return the best design of each configuration that has one within the limits, the best first. starts: random
-    starts per configuration; done is called after each. Raises InputError for values out of range or if no start ends
-    within the limits, EnvironmentLackError if scipy is missing."""
+    starts per configuration; done is called after each.
+
+    Raises InputError for values out of range or if no start ends within the limits, EnvironmentLackError if scipy is
+    missing.
+    """
     if starts < 1:
         raise InputError(f"{starts} starts: allowed is 1 or more")
     goal = score(objective, limits.loads)
@@ -291,9 +297,11 @@ def trade_off(
     limits: Limits,
     done: Callable[[], None] = lambda: None,
 ) -> list[Design]:
-    """Return designs between the best one for an objective and the one of the least condition number. The condition
-    number has a ceiling (TRADE_OFF_STEPS of the way from best to least, as a penalty). Each optimum is the start of the
-    next: downwards from best and others, upwards from least. Raises as search() does."""
+    """Return designs between the best one for an objective and the one of the least condition number.
+
+    The condition number has a ceiling (TRADE_OFF_STEPS of the way from best to least, as a penalty). Each optimum is
+    the start of the next: downwards from best and others, upwards from least. Raises as search() does.
+    """
     goal, condition = score(objective, limits.loads), score("condition", limits.loads)
     begins = [(problem_of(design, limits), design) for design in (best, *others, least)]
     highest, lowest = (

@@ -84,9 +84,10 @@ def simulate_groove_errors(
 ) -> GrooveErrors:
     """Return the errors caused by equal, independent, normal gauge noise at the paper's grooves.
 
-    Each repeat fits V = A F by least squares to noisy readings in the grooves between 0 and 90 degrees, as section
-    4.3 does, inverts A, then reads every groove once more. noise_strain: standard deviation per reading of the three
-    gauges."""
+    Each repeat fits V = A F by least squares to noisy readings in the grooves between 0 and 90 degrees, as section 4.3
+    does, inverts A, then reads every groove once more. noise_strain: standard deviation per reading of the three
+    gauges.
+    """
     A = strain_matrix(geometry, gauges)
     rng, P_newtons, grooves = np.random.default_rng(seed), CALIBRATION_WEIGHT_NEWTONS, paper_grooves()
     F = force_vector(P_newtons, grooves.phi_rad, grooves.theta_rad)

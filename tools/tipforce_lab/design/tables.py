@@ -179,9 +179,12 @@ def figures(matrix: FloatArray) -> Record:
 
 
 def ranked_layouts(geometry: Geometry, by: str = "condition") -> list[Record]:
-    """Return the 28 mirrored pairs of layouts of three points, which share every figure, best first. Keys: case (I, II,
-    III, or empty), gauges, mirror, and what ``by`` may be: condition, thin (its limit), that with every row scaled to
-    unit length, newtons of noise per microstrain; infinite if a layout cannot separate the three forces."""
+    """Return the 28 mirrored pairs of layouts of three points, which share every figure, best first.
+
+    Keys: case (I, II, III, or empty), gauges, mirror, and what ``by`` may be: condition, thin (its limit), that with
+    every row scaled to unit length, newtons of noise per microstrain; infinite if a layout cannot separate the three
+    forces.
+    """
     names = {frozenset(LAYOUTS[name]): name.rstrip("'") for name in LAYOUTS}
     by_mirror: dict[frozenset[frozenset[str]], Record] = {}
     for chosen in itertools.combinations(POINTS, 3):
@@ -253,8 +256,10 @@ def nearest_common_shifts(
 
 def nearest_common(rows: Mapping[str, FloatArray], conditions: Mapping[str, float]) -> tuple[dict[str, int], float]:
     """Return (index of the place of each gauge, largest miss) that best fit the condition numbers of the cases. rows:
-    strain per newton (m, 3) of K, S, L, R, U at m places each. Case I holds K, S and U, case II L, S and U, case III L,
-    R and U, so K and R can be chosen last, each alone."""
+    strain per newton (m, 3) of K, S, L, R, U at m places each.
+
+    Case I holds K, S and U, case II L, S and U, case III L, R and U, so K and R can be chosen last, each alone.
+    """
     missed = {}
     for case in CASES:
         first, second, third = (rows[point] for point in LAYOUTS[case])

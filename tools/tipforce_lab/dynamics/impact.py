@@ -2,7 +2,8 @@
 Linear contact: exact, each phase a linear system (switched.py). Hertzian contact: scipy's DOP853 in contact, matrix
 exponentials in free flight. Contact starts at time 0, may open and close again, and is lossless. States: omega q and q'
 of every mode (mass-normalised), overlap and speed of the body, the load and its rate, and a constant, scaled so that
-energy is half the sum of their squares: without damping and load the matrix is skew-symmetric."""
+energy is half the sum of their squares: without damping and load the matrix is skew-symmetric.
+"""
 
 from __future__ import annotations
 
@@ -143,8 +144,11 @@ def impact(
     modes: Modes | None, striker: Striker, until_s: float, times_s: npt.ArrayLike = (), slit: SlitStop | None = None
 ) -> Impact:
     """Return the course of an impact that starts at 0, structure at rest. modes: None is rigid ground. times_s: (m,)
-    rising, from 0 to until_s. Raises InputError for times out of range, too many steps, a Hertzian contact with a slit;
-    EnvironmentLackError for a Hertzian contact without scipy."""
+    rising, from 0 to until_s.
+
+    Raises InputError for times out of range, too many steps, a Hertzian contact with a slit; EnvironmentLackError for a
+    Hertzian contact without scipy.
+    """
     t = floats("times_s", times_s).reshape(-1)
     if not 0.0 < until_s < math.inf:
         raise InputError(f"until_s = {until_s!r}: allowed is a positive finite number")

@@ -2,7 +2,8 @@
 lines mapped to the body's shape. x to the right, y away from the fixture, the origin in the middle of the horizontal
 beam, symmetric about x = 0. Around a re-entrant corner the cells form rings, ring k of m as far from the corner as (k /
 m)^grading: cells shrink equally in both directions, none becomes long and thin. The topology is unchanged, so a graded
-mesh has as many unknowns as the uniform one (grading = 1), and that of 2 n contains the nodes of that of n."""
+mesh has as many unknowns as the uniform one (grading = 1), and that of 2 n contains the nodes of that of n.
+"""
 
 from __future__ import annotations
 
@@ -49,9 +50,12 @@ class Rectangle(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """The body's cross-section. Raises InputError, naming the field, for a body that cannot be built or meshed. A slit
-    of constant width separates the horizontal beam from the tip, whose legs hold the beam at its ends. Above vertical
-    sides the tip is bounded by an arc around the origin."""
+    """The body's cross-section.
+
+    Raises InputError, naming the field, for a body that cannot be built or meshed. A slit of constant width separates
+    the horizontal beam from the tip, whose legs hold the beam at its ends. Above vertical sides the tip is bounded by
+    an arc around the origin.
+    """
 
     geometry: Geometry = FABRICATED
     slit_m: float = 0.25e-3

@@ -1,6 +1,7 @@
 """Plane elasticity of the body with scikit-fem: P2 triangles, one sparse factorisation for three loads; and what gauges
 read of it: the difference of displacement between a gauge's ends over its length, finite also next to a re-entrant
-corner, where strain is infinite. Young's modulus and the width are 1 inside, and divided by at the end."""
+corner, where strain is infinite. Young's modulus and the width are 1 inside, and divided by at the end.
+"""
 
 from __future__ import annotations
 
@@ -220,8 +221,11 @@ def face(solution: Solution, gauge: GaugePosition) -> Face:
 
 def strain_matrix(solution: Solution, gauges: Sequence[Gauge], gauge_length_m: float = GAUGE_LENGTH_M) -> FloatArray:
     """Return the strain per newton of F, shape (n, 3), tension positive, averaged over the length of each gauge.
-    gauges: positions of their middles, or points of Table 1, replaced by nearest_place(). At a point (length 0) strain
-    converges away from corners only. Raises InputError for a gauge that reaches beyond its face."""
+    gauges: positions of their middles, or points of Table 1, replaced by nearest_place().
+
+    At a point (length 0) strain converges away from corners only. Raises InputError for a gauge that reaches beyond its
+    face.
+    """
     if not 0.0 <= gauge_length_m < np.inf:
         raise InputError(f"gauge_length_m = {gauge_length_m!r}: allowed is 0 (a point) or more, finite")
     rows = [_row(solution, gauge, gauge_length_m) for gauge in gauges]
@@ -230,8 +234,10 @@ def strain_matrix(solution: Solution, gauges: Sequence[Gauge], gauge_length_m: f
 
 def nearest_place(outline: Outline, point: str, gauge_length_m: float = GAUGE_LENGTH_M) -> GaugePosition:
     """Return the nearest position of a gauge to a point of Table 1: half its length from the end of the beam, from the
-    side of the joint (which has no width in Table 1), from the leg at L and R, or from the fillet there. Raises
-    InputError for an unknown point."""
+    side of the joint (which has no width in Table 1), from the leg at L and R, or from the fillet there.
+
+    Raises InputError for an unknown point.
+    """
     spot, g = place(outline.geometry, point), outline.geometry
     fillet = outline.fillet_m
     if point in ("L", "R"):
@@ -324,8 +330,10 @@ def extrapolate_matrix(values: Sequence[FloatArray]) -> tuple[FloatArray, float]
 
 def corner_exponent(material_angle_rad: float, mode: str) -> float:
     """Return lambda, displacement ~ r^lambda, of a corner with free faces (Williams 1952); 270 degrees: 0.5445, 0.9085.
+
     The smallest root above 1/2 of sin(lambda w) + s lambda sin(w) = 0, s = 1 (opening) or -1 (sliding), w the angle of
-    material. Raises InputError for an unknown mode, or an angle at which it is not singular."""
+    material. Raises InputError for an unknown mode, or an angle at which it is not singular.
+    """
     from scipy.optimize import brentq
 
     if mode not in MODES:

@@ -1,7 +1,8 @@
 """One observation of n fingers, or a recording of them on one time axis: values, uncertainties and a validity mask,
 (n, 3) each, for P, phi and theta. ``values`` and ``uncertainties`` are float32, P in newtons, angles in radians;
 ``valid`` is int8. An unknown value, or one beyond the space, is 0 with ``valid`` 0 and the largest uncertainty of the
-space; so is the uncertainty of a value where that alone is not known."""
+space; so is the uncertainty of a value where that alone is not known.
+"""
 
 from __future__ import annotations
 
@@ -88,9 +89,11 @@ class Observations:
         return len(self.t_s)
 
     def windows(self, length: int, stride: int = 1) -> Observations:
-        """Return windows of ``length`` observations in sequence, one each ``stride``; none crosses a gap. Arrays get
-        the shape (m, length, ...): views where the recording has no gap, otherwise copies. A gap is more than 1.5
-        median periods. Raises InputError for a length or stride below 1."""
+        """Return windows of ``length`` observations in sequence, one each ``stride``; none crosses a gap.
+
+        Arrays get the shape (m, length, ...): views where the recording has no gap, otherwise copies. A gap is more
+        than 1.5 median periods. Raises InputError for a length or stride below 1.
+        """
         if length < 1 or stride < 1:
             raise InputError(f"windows of length {length}, stride {stride}: allowed is 1 or more")
         starts = max(0, len(self) - length + 1)
@@ -114,8 +117,10 @@ class Observations:
 
 def recorded_observations(log: Log, node_ids: Sequence[int] | None = None) -> Observations:
     """Return the samples of ``log`` (``tipforce.read_log``) as observations, one for each sample of the first node.
+
     ``node_ids``: fingers in order, default all of the log. A finger without a sample within half a period of the first
-    finger's is not valid in that observation. Raises InputError for nodes that the log does not have."""
+    finger's is not valid in that observation. Raises InputError for nodes that the log does not have.
+    """
     chosen = list(log) if node_ids is None else list(node_ids)
     if not chosen or not set(chosen) <= set(log):
         raise InputError(f"nodes {chosen}: the log has {', '.join(map(str, log)) or 'none'}")

@@ -61,9 +61,11 @@ def _added(
 
 
 class Load:
-    """The load on one tip at one time step; vectors (3,) along x, y and z of the site (``models.py``). ``F_newtons``:
-    F1, F2, F3, equation (16), all that the gauges see; ``force_newtons``: the sum of the contact forces,
-    ``sum_newtons`` of their magnitudes; ``moment_newton_metres``: about the site; ``contacts``: their number."""
+    """The load on one tip at one time step; vectors (3,) along x, y and z of the site (``models.py``).
+
+    ``F_newtons``: F1, F2, F3, equation (16), all that the gauges see; ``force_newtons``: the sum of the contact forces,
+    ``sum_newtons`` of their magnitudes; ``moment_newton_metres``: about the site; ``contacts``: their number.
+    """
 
     __slots__ = ("F_newtons", "_rows", "contacts", "force_newtons", "moment_newton_metres", "sum_newtons")
 
@@ -182,7 +184,8 @@ class Fingertips:
     ``layout``: of the gauges, see ``tipforce.sensor``. Each node has ``calibration``, by default that of beam theory
     for contacts that push; ``noise_microstrain`` is the white noise of each gauge, the same in each run with the same
     ``seed``. ``node_ids`` by finger, default 1, 2, ... Raises InputError for a site that does not exist, one on a body
-    without geoms or with another finger's, node-ids and numbers that are not allowed."""
+    without geoms or with another finger's, node-ids and numbers that are not allowed.
+    """
 
     def __init__(
         self,

@@ -4,7 +4,8 @@ EDS files in the dialect of Lely's dcfgen.
 
 The frame ``<finger>_tip`` has its origin at the centre of the tip: x is the direction of F3 and y of F1 (docs/
 mechanics.md), z is normal to the plane of the beams, right-handed. So the force is P (cos phi, sin phi, 0), and the
-torque about the origin r P sin(phi - theta) = r F2, around z."""
+torque about the origin r P sin(phi - theta) = r F2, around z.
+"""
 
 from __future__ import annotations
 
@@ -276,9 +277,11 @@ _FINGER = """
 
 
 def write_ros2_bus(hand: HandFile, folder: Path) -> list[Path]:
-    """Write bus.yml and an EDS for each number of gauges; return the paths. ``sync_period`` is in microseconds; 0:
-    another device sends the SYNC. Raises InputError if the folder cannot be written or holds other files of these
-    names, WriteError, and InputError for a finger with the node-id of the master."""
+    """Write bus.yml and an EDS for each number of gauges; return the paths.
+
+    ``sync_period`` is in microseconds; 0: another device sends the SYNC. Raises InputError if the folder cannot be
+    written or holds other files of these names, WriteError, and InputError for a finger with the node-id of the master.
+    """
     from tipforce.dictionary.eds import eds_text, file_name, lely_dialect
     from tipforce.output_file import BUS_CONFIGURATION, EDS, write_files
 

@@ -1,6 +1,7 @@
 """The bus of a command line: python-can's flags, and the bus that they, a file or the environment name. Python-can, a
 fifth of a second of each `--help`, is not imported for the flags alone. They accept the values of
-``can.cli.add_bus_arguments`` (the tests compare them); values that need more than a conversion python-can parses."""
+``can.cli.add_bus_arguments`` (the tests compare them); values that need more than a conversion python-can parses.
+"""
 
 from __future__ import annotations
 
@@ -131,8 +132,10 @@ def find_bus(
     args: argparse.Namespace, of_file: Mapping[str, Any] | None = None, *, named: bool = False
 ) -> dict[str, Any]:
     """Return the bus of the flags, of a file, or of python-can's files and environment, as keywords of ``can.Bus``.
+
     Without any, that of the only SocketCAN interface that is up, which a line on stderr names. A channel alone is such
-    an interface, also one ``named`` without a flag: `dump vcan0`. Raises EnvironmentLackError naming the interfaces."""
+    an interface, also one ``named`` without a flag: `dump vcan0`. Raises EnvironmentLackError naming the interfaces.
+    """
     options = {**(of_file or {}), **bus_options(args)}
     if "interface" in options and (named or "channel" in options):
         return options

@@ -1,6 +1,7 @@
 """`tipforce dataset sql DIR QUERY`, with DuckDB: views of samples, events, parts and logs, over the manifest's files. A
 query reads these files and nothing else: it is one SELECT (COPY could write what a query may open), DuckDB opens no
-other file, loads no extension, sees no variable of Python and no setting can be changed, and its memory is limited."""
+other file, loads no extension, sees no variable of Python and no setting can be changed, and its memory is limited.
+"""
 
 from __future__ import annotations
 

@@ -49,8 +49,10 @@ class _Groups(NamedTuple):
 
 class Resampler:
     """Make tables with a row per interval of 1 / ``rate_hz`` from a node's first sample to its last; ``t_ns`` is its
-    start, a multiple of that since the epoch, `count` its samples, `n_P_N` the values in the mean. No value: NaN and 0.
-    A flag becomes the share of samples in which it was set."""
+    start, a multiple of that since the epoch, `count` its samples, `n_P_N` the values in the mean.
+
+    No value: NaN and 0. A flag becomes the share of samples in which it was set.
+    """
 
     def __init__(self, rate_hz: float, asked: Sequence[str] | None = None) -> None:
         """``asked``: signals in the order of the columns. Raises InputError for a rate that is not above 0."""

@@ -1,6 +1,7 @@
 """One run of `tipforce decode`: from logs through the requested steps to the output and the report. The rows pass
 through this process, or workers decode and write the parts of the logs themselves: parts of a file that is joined from
-them, or of a dataset."""
+them, or of a dataset.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Decode the parts of a recording with any number of workers. A worker decodes a part and keeps its rows. When the part
 in front has passed, it gets the ``State`` behind that, returns the one behind its own, for the next, and completes and
-writes its rows; a record of what was written comes back. A part is repeated if its worker dies."""
+writes its rows; a record of what was written comes back. A part is repeated if its worker dies.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """User-mode Linux: a Linux kernel that runs as an ordinary program, used for its CAN modules. The virtual machine
 mounts the caller's files (hostfs) below an overlay in memory, so that a command may write anywhere and the caller's
 files stay unchanged. Debian's package ``user-mode-linux`` contains kernel and modules; it needs neither KVM nor root.
-`init.sh`, the first process of the machine, runs the command."""
+`init.sh`, the first process of the machine, runs the command.
+"""
 
 import contextlib
 import os
@@ -232,8 +233,10 @@ def _terminal_kept(terminal: bool) -> Iterator[None]:
 
 def preloading(folder: Path, cpuinfo: Path = Path("/proc/cpuinfo")) -> dict[str, str]:
     """Return the variable that preloads whole_xstate.c, built in `folder`; without a compiler nothing, and say so.
+
     Without it linux.uml crashes at boot on a processor with AMX; built for all, the code of a few is tested on all.
-    Raises EnvironmentLackError, in one line, where the processor needs it and no compiler works."""
+    Raises EnvironmentLackError, in one line, where the processor needs it and no compiler works.
+    """
     lack, library = "none is installed", folder / "whole_xstate.so"
     if compiler := next(filter(None, map(shutil.which, _COMPILERS)), None):
         with as_file(files("tipforce_tools.kernel").joinpath("whole_xstate.c")) as source:
@@ -255,9 +258,11 @@ def run_with_vcan(
     timeout_s: float | None = None, place: str = "auto", writable: bool = False, announced: bool = False,
 ) -> int:  # fmt: skip
     """Run `command` where all `interfaces` are vcan buses and up; return its exit code, or that of `run_here`.
+
     Directory and environment are the caller's. `memory` and `writable` (let the command write the caller's files) apply
     to User-mode Linux only. `announced`: first print on stderr where the command runs. Raises InputError for an
-    unusable argument and EnvironmentLackError if the machine cannot provide vcan; its text names what to install."""
+    unusable argument and EnvironmentLackError if the machine cannot provide vcan; its text names what to install.
+    """
     for name in interfaces:
         if re.fullmatch(r"[A-Za-z][\w.-]{0,14}", name, re.ASCII) is None:
             raise InputError(f"--interfaces: {name!r}: allowed are a letter, then up to 14 letters, digits, . _ or -")

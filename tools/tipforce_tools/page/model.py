@@ -65,9 +65,12 @@ class Picture(msgspec.Struct, omit_defaults=True, rename={"states": "fingers"}):
 
 
 class Model:
-    """Thread-safe. ``live`` is False for a log, which has a beginning and an end. Rows are in the order of time: beyond
-    ``capacity`` (0: what fits into MAX_BYTES) the oldest are dropped, and a time that steps backwards (a set clock)
-    continues from the last."""
+    """Thread-safe.
+
+    ``live`` is False for a log, which has a beginning and an end. Rows are in the order of time: beyond ``capacity``
+    (0: what fits into MAX_BYTES) the oldest are dropped, and a time that steps backwards (a set clock) continues from
+    the last.
+    """
 
     def __init__(
         self, fingers: Sequence[Finger], gauges: int = 3, *, live: bool = True, capacity: int = 0,
@@ -197,8 +200,10 @@ class Model:
     ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
         """Return bins first to last (inclusive) of ``width_ns`` that are not empty: the number (b,) of each, whose time
         is number x width; and (b, k, 3 q + 1): minimum, maximum and largest standard uncertainty of q quantities, NaN
-        where none was known, and the number of rows in which the first was unknown or the finger missing. The
-        quantities are P, phi, theta; or without uncertainties F1, F2, F3, or the strain of each gauge."""
+        where none was known, and the number of rows in which the first was unknown or the finger missing.
+
+        The quantities are P, phi, theta; or without uncertainties F1, F2, F3, or the strain of each gauge.
+        """
         with self._lock:
             ends = np.searchsorted(self.rows.t_ns, (first_bin * width_ns, (last_bin + 1) * width_ns)).tolist()
             rows = self.rows.part(slice(*ends))

@@ -58,9 +58,11 @@ def period_ns(t_ns: npt.NDArray[np.int64]) -> int:
 
 
 def finger_states(rows: Block, now_ns: int) -> list[FingerState]:
-    """Return the state of each finger at ``now_ns``, from the rows up to then. A sample is live for 2.5 SYNC periods,
-    counted in SYNCs while these arrive (0.5 s if the period is unknown; without SYNC at least 0.1 s, the page's
-    resolution)."""
+    """Return the state of each finger at ``now_ns``, from the rows up to then.
+
+    A sample is live for 2.5 SYNC periods, counted in SYNCs while these arrive (0.5 s if the period is unknown; without
+    SYNC at least 0.1 s, the page's resolution).
+    """
     recent = rows.part(slice(-_PERIOD_ROWS, None))
     if not len(recent):
         return [_silent(0)] * rows.status.shape[1]

@@ -1,6 +1,7 @@
 """Join Parquet files of one schema without decoding them: their row groups are copied, and one footer names all. The
 footer is a FileMetaData of Thrift's compact protocol (parquet.thrift of the Parquet format). It is read as plain
-structures; only the offsets of the column chunks are moved, and the row groups are put into one list."""
+structures; only the offsets of the column chunks are moved, and the row groups are put into one list.
+"""
 
 from __future__ import annotations
 

@@ -39,9 +39,12 @@ _SUSPECTS = {
 
 
 def _row(index: int, sub: int = 0, shape: tuple[int | str, ...] = (), key: str = "") -> dict[str, Any]:
-    """What the table says of a field beside its name, type and default. ``place`` in the dictionary: the order of a
-    record; index 0: a node does not hold it. ``shape`` of an array: "n" is the number of gauges; of a covariance of
-    gauges a record has the upper triangle. ``key`` in a file, where it is not the name of the field in microstrain."""
+    """What the table says of a field beside its name, type and default.
+
+    ``place`` in the dictionary: the order of a record; index 0: a node does not hold it. ``shape`` of an array: "n" is
+    the number of gauges; of a covariance of gauges a record has the upper triangle. ``key`` in a file, where it is not
+    the name of the field in microstrain.
+    """
     return {"place": (index, sub), "shape": shape, "key": key}
 
 
@@ -137,8 +140,11 @@ class Calibration:
     ) -> Calibration:
         """A calibration from numbers in microstrain: F = matrix (microstrain - offset). matrix: (3, n), N per
         microstrain; offset: (n,), None for zero; covariance: (n, n), microstrain^2, of the gauges' noise; or noise: its
-        standard deviation, (n,) or one for all. ``facts``: other fields by name (serial, date, ...). Raises InputError
-        for shapes, numbers that are not finite, a matrix without rank 3, a covariance that is none, or is missing."""
+        standard deviation, (n,) or one for all.
+
+        ``facts``: other fields by name (serial, date, ...). Raises InputError for shapes, numbers that are not finite,
+        a matrix without rank 3, a covariance that is none, or is missing.
+        """
         with np.errstate(over="ignore"):  # check() refuses the infinity
             C = _array("matrix", matrix) * 1e6
         n = C.shape[-1] if C.ndim else 0
@@ -269,9 +275,12 @@ RECORD = tuple(
 
 
 def read_calibration(path: str | Path, with_fit: bool = False) -> Calibration:
-    """A calibration file. Raises InputError naming the place and what is allowed. A ``crc32`` in the file must be that
-    of the record: a number edited by hand is noticed. Take the line out to accept the edit. ``with_fit``: with the
-    ``parameter_covariance`` of its [fit] table, where it has one."""
+    """A calibration file.
+
+    Raises InputError naming the place and what is allowed. A ``crc32`` in the file must be that of the record: a number
+    edited by hand is noticed. Take the line out to accept the edit. ``with_fit``: with the ``parameter_covariance`` of
+    its [fit] table, where it has one.
+    """
     from tipforce.host.configuration.calibration_file import read_file
 
     values, crc32, fit = read_file(path, fields(Calibration))

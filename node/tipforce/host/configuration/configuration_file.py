@@ -26,9 +26,12 @@ from tipforce.host.network.sdo import Blocking, SdoChannel, finished
 def read_settings(
     sdo: SdoChannel, objects: DeviceObjects, advance: Callable[[], None] = lambda: None
 ) -> dict[Place, Value]:
-    """Return every setting of a node, without objects that it lacks. ``advance()`` after each read. Raises
-    NoResponseError; for a fingertip also SdoAbortError for any other abort. What another device does not provide as its
-    EDS has it is left out, and a text outside ASCII, which could not be written back."""
+    """Return every setting of a node, without objects that it lacks.
+
+    ``advance()`` after each read. Raises NoResponseError; for a fingertip also SdoAbortError for any other abort. What
+    another device does not provide as its EDS has it is left out, and a text outside ASCII, which could not be written
+    back.
+    """
     values: dict[Place, Value] = {}
     for place, entry in objects.settings.items():
         try:

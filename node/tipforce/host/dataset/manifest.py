@@ -1,7 +1,8 @@
 """The manifest of a dataset: which parts of which logs it holds, in which files, and where each log continues. One JSON
 file per generation in ``DIR/_tipforce``, beside ``DIR/rows`` and ``DIR/events``, which hold nothing but Parquet files:
 query engines open every file in a folder. A new generation is created only if nobody else created it, so of two writers
-one commits and the other merges its changes, or gives up if both changed the same log."""
+one commits and the other merges its changes, or gives up if both changed the same log.
+"""
 
 from __future__ import annotations
 

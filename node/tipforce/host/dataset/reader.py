@@ -64,10 +64,8 @@ def start_of(name: str) -> int | None:
 def tables_of_logs(
     recording: Recording, names: Iterable[str], progress: Progress | None = None, tap: Tap | None = None
 ) -> Iterator[Table]:
-    """Read logs in this process as if they were one recording; a dataset gives the rows that it has.
-
-    ``tap`` gets the selected frames before their samples. Raises InputError, StrictError.
-    """
+    """Read logs in this process as if they were one recording; a dataset gives the rows that it has. ``tap`` gets the
+    selected frames before their samples. Raises InputError, StrictError."""
     for name in names:
         if not is_dataset(name):
             yield from recording.tables_of_piece(Piece(local_copy(name)), progress, tap)
@@ -102,10 +100,8 @@ def notes(name: str, manifest: Manifest) -> LogNotes:
 
 
 def tables(name: str, reading: Reading) -> Iterator[Table]:
-    """Yield the samples of the parts, of compacted ones together, in the order of their times.
-
-    Only those that ``reading`` selects.
-    """
+    """Yield the samples of the parts, of compacted ones together, in the order of their times. Only those that
+    ``reading`` selects."""
     store, manifest = opened(name)
     start, end = reading.limits(reading.origin_ns or first_ns(manifest) or 0)
     limits = -_FOREVER if start is None else start, _FOREVER if end is None else end

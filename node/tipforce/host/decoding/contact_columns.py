@@ -164,9 +164,7 @@ def signals_needed(
     asked: Iterable[str] | None, calibrations: Mapping[int | None, Calibration]
 ) -> tuple[str, ...] | None:
     """What has to be decoded for what is asked: gauges and flags for the contact, and what else a frame carries.
-
-    Temperature where a calibration depends on it, or says for which it holds.
-    """
+    Temperature where a calibration depends on it, or says for which it holds."""
     if asked is None:
         return None
     kept = [name for name in asked if name not in {column.signal for column in COLUMNS}]
@@ -236,7 +234,9 @@ def _tares(
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """From the unloaded readings, those that follow each other averaged: the offset of each row, (m, n), interpolated,
     its noise in units of one reading's variance, (m,), and the time to the nearest tare, (m,), in rows where there are
-    no times. Temperature is compensated where it is known. None without unloaded readings.
+    no times.
+
+    Temperature is compensated where it is known. None without unloaded readings.
     """
     from tipforce.sensor.calibration.regressors import tare_groups  # not where a log is read
 

@@ -1,7 +1,8 @@
 """Detect two nodes with one node-id by what they send. Frames in, findings out; no clock and no bus inside. A frame may
 be lost, late or repeated by the bus, so a finding needs a row of second responses, boot-ups or heartbeats, except two
 serial numbers (1018h:4) in response to one read. Frames that two nodes send at the same time are one frame on a bus if
-their bits are the same, else error frames."""
+their bits are the same, else error frames.
+"""
 
 from __future__ import annotations
 

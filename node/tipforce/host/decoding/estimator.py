@@ -96,9 +96,7 @@ class Estimator:
 
     def __init__(self, calibration: Calibration, *, uncertainty: bool = True) -> None:
         """``uncertainty`` False: u_P, u_phi and u_theta are NaN, and BEYOND_FIRST_ORDER, which judges them, is not set.
-
-        Raises InputError for contact limits that are not in order.
-        """
+        Raises InputError for contact limits that are not in order."""
         self.judge = Judge(calibration)
         self.gauges = calibration.gauges
         self._calibration, self._uncertainty = calibration, uncertainty
@@ -215,10 +213,8 @@ class Estimator:
         return contacts, after
 
     def rows(self, given: Readings, before: Before, out: Contacts | None = None) -> tuple[Contacts, IntArray, Before]:
-        """Return the contacts of readings, their status, and what the last one leaves for its successor.
-
-        The status (k,) says by ``reasons.FROZEN``, ``TARE``, ``LEFT_OUT``, ... why a value is unknown or doubtful.
-        """
+        """Return the contacts of readings, their status, and what the last one leaves for its successor. The status
+        (k,) says by ``reasons.FROZEN``, ``TARE``, ``LEFT_OUT``, ... why a value is unknown or doubtful."""
         k = len(given.strain)
         contacts, status = _room(out, (k,)), np.zeros(k, dtype=np.int64)
         columns = [getattr(contacts, name) for name in Contacts.__slots__[:6]]

@@ -1,6 +1,7 @@
 """The faults of a node (2124h) as its TPDO4, EMCY and boot-up messages tell them: held until they say otherwise.
 ``Health`` follows frames, ``HealthRows`` the tables of a log. By default TPDO4 is off and bits 12 to 15 are in no other
-PDO, so EMCY is all that a bus shows of them; bit 13 has none."""
+PDO, so EMCY is all that a bus shows of them; bit 13 has none.
+"""
 
 from __future__ import annotations
 

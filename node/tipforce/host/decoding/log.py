@@ -67,10 +67,8 @@ class NodeLog(Contacts):
         yield f"also t_s, counter, microstrain, F_newtons, status, columns: {', '.join(self.columns) or 'none'}"
 
     def to_arrow(self) -> pyarrow.Table:
-        """Return the samples as an Arrow table, with the names, types and units of `tipforce decode -o x.parquet`.
-
-        An unknown value is null. ``status`` holds the bits of ``Status``. Raises EnvironmentLackError without pyarrow.
-        """
+        """Return the samples as an Arrow table, with the names, types and units of `tipforce decode -o x.parquet`. An
+        unknown value is null. ``status`` holds the bits of ``Status``. Raises EnvironmentLackError without pyarrow."""
         pa = _pyarrow()
         times = pa.array((self.t_s * 1e6).round().astype(np.int64), pa.timestamp("us", tz="UTC"))
         arrays = {"t_s": times, "node": pa.array(np.full(len(self), self.node_id, dtype=np.uint8)),

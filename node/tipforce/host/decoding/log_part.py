@@ -20,10 +20,8 @@ from tipforce.host.logs.reader import LogReader, within
 
 
 class StrictError(InputError):
-    """The first bad line of a log that is read strictly; the text names the log and the place.
-
-    ``bad`` is the line, if known; ``goes_on``: its number counts within a part that is not the first.
-    """
+    """The first bad line of a log that is read strictly; the text names the log and the place. ``bad`` is the line, if
+    known; ``goes_on``: its number counts within a part that is not the first."""
 
     bad: BadLine | None = None
     goes_on: bool = False

@@ -90,9 +90,12 @@ def node_layout(sdo: SdoChannel) -> NodeLayout:
 
 
 def dbc_messages(path: str | Path) -> dict[Key, tuple[int, Message]]:
-    """Return the messages of a DBC (or what cantools reads), for ``Decoder.of_messages``. One named as in tipforce's
-    own DBC, TIP05_Contact, has the key (5, "Contact"); any other (0, its name). A value named "unknown" becomes NaN.
-    Multiplexed signals and containers are skipped. Raises InputError for the file, and signals beyond byte eight."""
+    """Return the messages of a DBC (or what cantools reads), for ``Decoder.of_messages``.
+
+    One named as in tipforce's own DBC, TIP05_Contact, has the key (5, "Contact"); any other (0, its name). A value
+    named "unknown" becomes NaN. Multiplexed signals and containers are skipped. Raises InputError for the file, and
+    signals beyond byte eight.
+    """
     import cantools
 
     try:
@@ -174,9 +177,11 @@ _SUFFIXES = ("_N", "_deg", "_ue", "_degC")
 
 @dataclass(frozen=True, slots=True)
 class Layouts:
-    """A description that can be sent to another process. ``nodes`` None means all of them. ``pdos``: by node-id the
-    PDOs that differ from the default, as (message name, can_id, mapping). ``eds``: (node-id, EDS or DCF) of devices of
-    any manufacturer; then only their PDOs are decoded."""
+    """A description that can be sent to another process.
+
+    ``nodes`` None means all of them. ``pdos``: by node-id the PDOs that differ from the default, as (message name,
+    can_id, mapping). ``eds``: (node-id, EDS or DCF) of devices of any manufacturer; then only their PDOs are decoded.
+    """
 
     gauges: int = 3
     nodes: tuple[int, ...] | None = None

@@ -2,7 +2,8 @@
 part decoded before those in front cannot know open rows at its edges, where counters continue, their modulus, and the
 faults (2124h) that are set. So its first frames, the head, only bring the decoder into its state, and are decoded again
 after the parts in front. Where that ends in the same state, the rows behind the head are right, but for counters and
-faults; otherwise the whole part is decoded again. The ``State`` behind it is known before its rows are written."""
+faults; otherwise the whole part is decoded again. The ``State`` behind it is known before its rows are written.
+"""
 
 from __future__ import annotations
 

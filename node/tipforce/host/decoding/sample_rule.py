@@ -1,7 +1,8 @@
 """The PDOs of one latch become a sample of their node: the one rule for a finger, a page and a log. A PDO that follows
 SYNC continues the node's sample if the counter is the same, the PDO a later one and the gap small. An event-driven PDO
 carries the counter of the last latch: it joins the node's last sample if that has the same counter, and no PDO of its
-kind. Every other PDO is a sample of its own. The rule uses pairs of frames: samples do not depend on calls."""
+kind. Every other PDO is a sample of its own. The rule uses pairs of frames: samples do not depend on calls.
+"""
 
 from __future__ import annotations
 
@@ -110,9 +111,11 @@ class SlotCount(NamedTuple):
 
 class Joined(NamedTuple):
     """The rows that no later frame can join, in the order of their first frames, and the frames of the others.
+
     ``order`` (k,): indices of the frames, group by group; ``row`` (k,): of each. ``first``, ``counter`` (r,): of a
     row's first frame. ``held``, ``held_number`` (h,): frames for the next call, ``number`` the next one. ``spans``:
-    (group, start and end in ``order``), ``counts``: of slots, both ascending. ``short``: (slot, frames too short)."""
+    (group, start and end in ``order``), ``counts``: of slots, both ascending. ``short``: (slot, frames too short).
+    """
 
     order: Ints
     row: Ints

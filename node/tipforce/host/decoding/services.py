@@ -1,6 +1,7 @@
 """The CANopen services besides PDOs as text: NMT, SYNC, TIME, EMCY, SDO, heartbeat, LSS; frames in, records out.
 ``tipforce dump`` prints them, live and from logs. ``BusEvents`` keeps the EMCYs and the changes of NMT states, for
-``tipforce decode``. Identifiers are those of the predefined connection set (CiA 301, 7.3.5)."""
+``tipforce decode``. Identifiers are those of the predefined connection set (CiA 301, 7.3.5).
+"""
 
 from __future__ import annotations
 

@@ -104,10 +104,12 @@ class Hand:
         **bus_options: Any,
     ) -> Hand:
         """Return a running hand: every finger is found, configured, calibrated and started, and SYNCs are sent.
+
         ``fingers``: the path of a hand file, node-ids, or these by name. ``bus``: an open one, which stays open; or
         ``bus_options`` of ``can.Bus``, before the file's [bus]. ``plan``: [hand] without a file. Raises RefusedError
         naming the fingers that failed and why, unless ``need_all`` is False; InputError for an invalid file,
-        EnvironmentLackError for a bus that does not open."""
+        EnvironmentLackError for a bus that does not open.
+        """
         file = read_hand(fingers) if isinstance(fingers, str | Path) else hand_of(fingers, plan or HandPlan())
         hand = cls.from_file(file, bus=bus, **bus_options)
         try:
@@ -208,9 +210,11 @@ class Hand:
         return self._delivery.error
 
     def tare(self, finger: str | int) -> str:
-        """Take the present force of a finger (its name or node-id) as zero; return its tare as text. A tare by another
-        master, or by ``connection``, is a change that ``foreign_changes`` decides on. Raises InputError for an unknown
-        finger, NoResponseError, and SdoAbortError if the finger has no force now."""
+        """Take the present force of a finger (its name or node-id) as zero; return its tare as text.
+
+        A tare by another master, or by ``connection``, is a change that ``foreign_changes`` decides on. Raises
+        InputError for an unknown finger, NoResponseError, and SdoAbortError if the finger has no force now.
+        """
         for plan in self.file.finger:
             if finger in (plan.node_id, plan.name):
                 return self._recovery.tare(plan.node_id)

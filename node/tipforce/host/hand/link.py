@@ -1,6 +1,7 @@
 """Access of a hand to its bus: a connection for SDO and NMT, a receiver for all frames, and a SYNC producer. On
 SocketCAN the receiver is a raw socket of its own, which also receives the kernel's SYNCs. Elsewhere one python-can bus
-does both, and own SYNCs, sent by a thread, are inserted among the received frames."""
+does both, and own SYNCs, sent by a thread, are inserted among the received frames.
+"""
 
 from __future__ import annotations
 

@@ -34,9 +34,11 @@ _SIDE_BY_SIDE = 8
 
 
 class Recovery:
-    """Set fingers up as in the hand file. ``connection`` returns the present one. ``overflow`` is the value of 1019h
-    that the SYNC asks for; None: it is left as it is. ``Trust`` knows what each finger sends, also while it boots, and
-    shows values while that holds."""
+    """Set fingers up as in the hand file.
+
+    ``connection`` returns the present one. ``overflow`` is the value of 1019h that the SYNC asks for; None: it is left
+    as it is. ``Trust`` knows what each finger sends, also while it boots, and shows values while that holds.
+    """
 
     def __init__(
         self, file: HandFile, connection: Callable[[], Bus], supervisor: Supervisor, collector: Collector,
@@ -148,8 +150,10 @@ class Recovery:
 
     def _learn(self, node_id: int, *, set_up_now: bool = False) -> bool:
         """Read what the values of a finger mean, and show them; return False if that is not as in the hand file.
+
         ``set_up_now``: the settings of the hand file have just been compared. What has no part in the values is taken
-        to be as before, until it is read while they are shown."""
+        to be as before, until it is read while they are shown.
+        """
         plan, known = self._plans[node_id], self._trust.known(node_id)
         later: set[Place] = set()
         if set_up_now and known:

@@ -1,7 +1,8 @@
 """Whether the hand knows what the values of its fingers mean, judged from the frames in the order of the bus.
 ``known``: what it has read and accepted of each watched object. A download or a command to the finger, by whomever,
 makes what it may change unsure, until an SDO response or a health PDO says what that is. Values are shown while no
-object is unsure. An object that is seen otherwise is a change, on which ``foreign_changes`` decides."""
+object is unsure. An object that is seen otherwise is a change, on which ``foreign_changes`` decides.
+"""
 
 from __future__ import annotations
 
@@ -72,8 +73,10 @@ _Handler = Callable[[int, float], None]
 
 class Trust:
     """The fingers ``node_ids``, whose answers have the identifiers ``answers`` (by identifier: place in node_ids).
+
     ``ids`` are the identifiers that ``note`` wants. Every method takes ``lock``, except ``note``, whose caller has it.
-    ``shown[k]``: the values of finger k are shown."""
+    ``shown[k]``: the values of finger k are shown.
+    """
 
     def __init__(self, node_ids: Sequence[int], answers: Mapping[int, int], health: Message, gauges: int) -> None:
         self.lock = threading.Lock()

@@ -5,7 +5,8 @@ every other interface is read through python-can.
 recvmmsg fills memory that numpy reads in place. The compiled core makes FRAME of it at once; without it, and for
 datagrams that are no plain frames, numpy does. Both keep the GIL (ctypes.PyDLL does): with MSG_DONTWAIT the call never
 blocks, and releasing the GIL would yield to a busy thread for up to sys.getswitchinterval() (5 ms) each time. Needs a
-little-endian 64-bit Linux, see ``AVAILABLE``."""
+little-endian 64-bit Linux, see ``AVAILABLE``.
+"""
 
 from __future__ import annotations
 

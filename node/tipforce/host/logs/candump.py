@@ -46,10 +46,8 @@ class CandumpParser:
     """Convert lines to frames, in bulk where they are plain; ``notes`` get all else that they tell."""
 
     def __init__(self, notes: LogNotes | None = None, *, strict: bool = False, deltas: bool = False) -> None:
-        """``deltas``: the timestamps are those of -td, each the time since the previous line.
-
-        Without ``notes``, ``strict`` ones raise BadLineError at the first bad line.
-        """
+        """``deltas``: the timestamps are those of -td, each the time since the previous line. Without ``notes``,
+        ``strict`` ones raise BadLineError at the first bad line."""
         self.notes = LogNotes(strict) if notes is None else notes
         self.count = 0
         """Classic frames since the last ``take``."""
@@ -64,10 +62,8 @@ class CandumpParser:
         self._room = bytearray()
 
     def frame(self, line: str) -> tuple[bytes, bool] | FdFrame | None:
-        """Return the content of the next line: (bytes of a FRAME, whether it is timed), a CAN FD frame, or no frame.
-
-        An FD frame without a timestamp has t_ns -1. Raises BadLineError for a bad line, if strict.
-        """
+        """Return the content of the next line: (bytes of a FRAME, whether it is timed), a CAN FD frame, or no frame. An
+        FD frame without a timestamp has t_ns -1. Raises BadLineError for a bad line, if strict."""
         notes = self.notes
         notes.lines += 1
         try:
@@ -148,10 +144,8 @@ class CandumpParser:
         return number
 
     def gather(self, text: bytearray, begin: int, end: int) -> Iterator[CandumpBlock]:
-        """Read the whole lines ``text[begin:end]``, and yield blocks that are full.
-
-        Raises BadLineError if strict; ``take`` returns the frames before the bad line.
-        """
+        """Read the whole lines ``text[begin:end]``, and yield blocks that are full. Raises BadLineError if strict;
+        ``take`` returns the frames before the bad line."""
         while begin < end:
             if self.count * FRAME.itemsize == _ROOM_BYTES:
                 yield self.take()
@@ -197,10 +191,8 @@ class CandumpParser:
 
 
 def text_blocks(read: Callable[[int], bytes | None], parser: CandumpParser) -> Iterator[CandumpBlock]:
-    """Yield blocks of frames from what ``read(bytes)`` returns, until that is nothing, in bounded memory.
-
-    Raises BadLineError at a bad line if ``parser`` is strict, after the frames before it.
-    """
+    """Yield blocks of frames from what ``read(bytes)`` returns, until that is nothing, in bounded memory. Raises
+    BadLineError at a bad line if ``parser`` is strict, after the frames before it."""
     rest, ended = b"", False
     while not ended:
         chunk = read(_CHUNK_BYTES) or b""

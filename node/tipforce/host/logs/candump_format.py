@@ -13,10 +13,12 @@ _ERROR_MASK = ERROR_FLAG | EXTENDED_MASK
 
 
 class CandumpFormat:
-    """Format frames as candump does, one string per frame without line end. ``timestamps``: "", "a", "z", "d", "A" (its
-    -t); ``log`` is -L, ``extra`` -x, ``errors`` -e, ``ascii`` -a; ``width``: of the longest interface name of the
-    command line. Like candump, it keeps state: names align with the longest so far (not with ``align`` False), and
-    11-bit identifiers are indented after the first 29-bit one."""
+    """Format frames as candump does, one string per frame without line end.
+
+    ``timestamps``: "", "a", "z", "d", "A" (its -t); ``log`` is -L, ``extra`` -x, ``errors`` -e, ``ascii`` -a;
+    ``width``: of the longest interface name of the command line. Like candump, it keeps state: names align with the
+    longest so far (not with ``align`` False), and 11-bit identifiers are indented after the first 29-bit one.
+    """
 
     def __init__(
         self,

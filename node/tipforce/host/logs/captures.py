@@ -1,6 +1,7 @@
 """Read CAN frames from captures: pcap and pcapng of SocketCAN (drafts of the IETF opsawg), and MCAP (can_msgs/Frame, as
 ros2_socketcan and `tipforce decode` write it). Link types: 227 (SocketCAN: CAN ID in network byte order, length, data)
-and Linux' cooked captures of the interface "any", 113 and 276, of the protocols 000Ch (CAN) and 000Dh (CAN FD)."""
+and Linux' cooked captures of the interface "any", 113 and 276, of the protocols 000Ch (CAN) and 000Dh (CAN FD).
+"""
 
 from __future__ import annotations
 

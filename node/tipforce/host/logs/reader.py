@@ -23,10 +23,8 @@ _PCAP_STARTS = (b"\xa1\xb2\xc3\xd4", b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\x3c\x4d", b
 
 
 class LogReader(LogNotes):
-    """Iterate over a log once as FRAME arrays; memory stays bounded. A context manager; see LogNotes.
-
-    The notes are complete at the end of the iteration. ``channels`` grows as new interfaces occur.
-    """
+    """Iterate over a log once as FRAME arrays; memory stays bounded. A context manager; see LogNotes. The notes are
+    complete at the end of the iteration. ``channels`` grows as new interfaces occur."""
 
     def __init__(
         self,

@@ -89,9 +89,12 @@ class Heartbeats(can.Listener):
 
 
 class Bus:
-    """One CAN bus: its fingers, SDO, NMT, SYNC and every received frame; a context manager. ``bus`` is python-can's, or
-    a connected ``canopen.Network``. If ``owned`` is False, and for a network always, ``close`` leaves the bus open and
-    removes only what this object added. ``timeout_s`` and ``retries`` apply to every SDO transfer."""
+    """One CAN bus: its fingers, SDO, NMT, SYNC and every received frame; a context manager.
+
+    ``bus`` is python-can's, or a connected ``canopen.Network``. If ``owned`` is False, and for a network always,
+    ``close`` leaves the bus open and removes only what this object added. ``timeout_s`` and ``retries`` apply to every
+    SDO transfer.
+    """
 
     def __init__(
         self,
@@ -154,9 +157,11 @@ class Bus:
         **bus_options: Any,
     ) -> Bus:
         """Open a bus: ``open("can0")``, ``open("can0", "socketcan")``, or an open ``can.Bus`` or ``canopen.Network``.
+
         Names are python-can's, its configuration files and environment variables included; on Linux a channel without
         an interface is SocketCAN's. An open bus or network stays open at ``close``. ``bus_options``: other keywords of
-        ``can.Bus``. Raises EnvironmentLackError if the bus cannot be opened."""
+        ``can.Bus``. Raises EnvironmentLackError if the bus cannot be opened.
+        """
         if isinstance(channel, can.BusABC | canopen.Network):
             return cls(channel, timeout_s, retries, owned=False)
         if channel is not None and interface is None and sys.platform == "linux":
@@ -172,9 +177,12 @@ class Bus:
             raise
 
     def finger(self, node_id: int, *, passive: bool = False, gauges: int = 3) -> Finger:
-        """Return the finger with a node-id; the same object for the same arguments. Raises InputError outside 1..127.
-        ``passive``: nothing is sent; the PDOs are the default ones of ``gauges`` gauges. Otherwise they are read over
-        SDO, a pre-operational node is started, and SYNCs are sent if no other node sends them."""
+        """Return the finger with a node-id; the same object for the same arguments.
+
+        Raises InputError outside 1..127. ``passive``: nothing is sent; the PDOs are the default ones of ``gauges``
+        gauges. Otherwise they are read over SDO, a pre-operational node is started, and SYNCs are sent if no other node
+        sends them.
+        """
         from tipforce.host.network.finger import Finger
 
         finger = Finger(self, node_id, passive=passive, default_gauges=gauges)
@@ -295,10 +303,12 @@ class NotReachedError(NoResponseError):
 def command_and_wait(
     connection: Bus, command: str, node_ids: Collection[int], timeout_s: float = 2.0
 ) -> dict[int, str]:
-    """Send an NMT command to each node and wait for its heartbeat; return the state that each reported. NMT is not
-    confirmed: a command other than a reset is repeated until the heartbeat reports the state, so a node may boot
-    meanwhile. Raises NotReachedError naming the nodes whose heartbeat did not report it in time: they are off, or their
-    heartbeat (1017h) is slower or 0."""
+    """Send an NMT command to each node and wait for its heartbeat; return the state that each reported.
+
+    NMT is not confirmed: a command other than a reset is repeated until the heartbeat reports the state, so a node may
+    boot meanwhile. Raises NotReachedError naming the nodes whose heartbeat did not report it in time: they are off, or
+    their heartbeat (1017h) is slower or 0.
+    """
     since_s = time.monotonic()
     wanted, reached = NMT_COMMANDS[command][1], dict[int, str]()
     again_s = timeout_s if command.startswith("reset") else _AGAIN_S

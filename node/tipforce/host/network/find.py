@@ -61,9 +61,11 @@ def find_nodes(
     wait_s: float = 1.2,
     observe: Callable[[FrameArray], object] = lambda _frames: None,
 ) -> list[FoundNode]:
-    """Request 1000h from every node-id, listen for ``wait_s`` to responses and heartbeats, then identify the nodes. A
-    node that only sends heartbeats (STOPPED: no SDO) is listed too. The wait ends when every node-id has sent both.
-    ``observe`` is called with the frames that arrive. Raises InputError for node-ids outside 1..127."""
+    """Request 1000h from every node-id, listen for ``wait_s`` to responses and heartbeats, then identify the nodes.
+
+    A node that only sends heartbeats (STOPPED: no SDO) is listed too. The wait ends when every node-id has sent both.
+    ``observe`` is called with the frames that arrive. Raises InputError for node-ids outside 1..127.
+    """
     wanted = set(node_ids)
     if not wanted <= set(range(1, 128)):
         raise InputError(f"node-ids {sorted(wanted)}: allowed are 1 to 127")

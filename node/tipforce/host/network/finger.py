@@ -82,9 +82,11 @@ class Finger:
         self._started_s = -math.inf
 
     def read(self, timeout_s: float = 1.0) -> Contact:
-        """Return the newest sample that was not read yet, or the next one; sends a SYNC if no node does. Raises
-        NoNewSampleError if none arrives within ``timeout_s`` (0: there is none), NoResponseError and SdoAbortError, and
-        InputError for a finger that sends no PDO with its contact, its force or all its gauges."""
+        """Return the newest sample that was not read yet, or the next one; sends a SYNC if no node does.
+
+        Raises NoNewSampleError if none arrives within ``timeout_s`` (0: there is none), NoResponseError and
+        SdoAbortError, and InputError for a finger that sends no PDO with its contact, its force or all its gauges.
+        """
         checked_time("timeout_s", timeout_s)
         period_s = None if self._passive or not timeout_s else 1.0 / DEFAULT_RATE_HZ
         return self._opened().newest(time.monotonic() + timeout_s, period_s)
@@ -147,9 +149,12 @@ class Finger:
     def apply_calibration(
         self, calibration: Calibration, store: bool = True, on_step: Callable[[str], None] = lambda _step: None
     ) -> int:
-        """Stage, commit, read back and compare, store; returns the generation (2103h:4). Raises RefusedError if the
-        node rejects the commit (the active calibration stays active) or its content differs from the record sent,
-        InputError for another number of gauges or what no sensor can have (``Calibration.check``)."""
+        """Stage, commit, read back and compare, store; returns the generation (2103h:4).
+
+        Raises RefusedError if the node rejects the commit (the active calibration stays active) or its content differs
+        from the record sent, InputError for another number of gauges or what no sensor can have
+        (``Calibration.check``).
+        """
         calibration.check()
         identity = self.identity()
         if not identity.is_fingertip or identity.gauges != calibration.gauges:

@@ -67,7 +67,8 @@ class SdoChannel:
     refused them (``has_blocks``). ``clock`` returns seconds.
 
     A transfer raises DuplicateNodeError if two nodes respond. ``duplicates`` receives the frames of the bus: after a
-    second response the channel reads the serial number until it is decided whether there are two."""
+    second response the channel reads the serial number until it is decided whether there are two.
+    """
 
     def __init__(
         self,

@@ -1,6 +1,7 @@
 """Calibration: from readings under known loads to C, its offsets and its uncertainty. The gauges are the noisy side: V
 = A F + b is fitted, then inverted (the paper fits F = C V). Loads of uncertain direction weigh less, tares carry the
-drift, odd rows and saturated readings are left out, and what the rows cannot show is refused by name."""
+drift, odd rows and saturated readings are left out, and what the rows cannot show is refused by name.
+"""
 
 from __future__ import annotations
 
@@ -199,9 +200,11 @@ SMALLEST_SPAN_K = 0.5
 def best_fit(
     readings: Readings, model: Model, drifts: Sequence[str] | None = None
 ) -> tuple[Fit, Model, dict[str, float]]:
-    """Return the fit of the drift with the best hold-out score, its model, and the scores by name. ``drifts``: by
-    default those that the times allow; each also with a temperature coefficient where temperatures change. Raises as
-    fit_calibration()."""
+    """Return the fit of the drift with the best hold-out score, its model, and the scores by name.
+
+    ``drifts``: by default those that the times allow; each also with a temperature coefficient where temperatures
+    change. Raises as fit_calibration().
+    """
     fits: dict[str, tuple[Fit, Model]] = {}
     refused: InputError | None = None
     if drifts is None:

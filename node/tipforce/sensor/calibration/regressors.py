@@ -167,8 +167,10 @@ FORCES = ("F1", "F2", "F3")
 
 def require_seen(g: FloatArray, observed: BoolArray, names: Sequence[str], unit_newtons: float) -> None:
     """Check that the rows determine every unknown of every gauge. g: (m, p), forces in ``unit_newtons``, then the
-    offset's columns. observed: (m, n). names: (p). Raises InputError naming each direction that no row sees, and which
-    would."""
+    offset's columns. observed: (m, n). names: (p).
+
+    Raises InputError naming each direction that no row sees, and which would.
+    """
     for k in range(observed.shape[1]):
         design = g[observed[:, k]]
         padded = np.vstack((design, np.zeros((design.shape[1], design.shape[1]))))

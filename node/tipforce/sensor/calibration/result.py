@@ -1,6 +1,7 @@
 """What a calibration fit hands back: the matrix, its uncertainty, and what speaks for or against it. ``rounded`` takes
 off digits that say nothing, so that equal data give equal calibrations on every machine but once in a million values:
-nine are finer than the node's REAL32 (seven) and what a good calibration knows (four)."""
+nine are finer than the node's REAL32 (seven) and what a good calibration knows (four).
+"""
 
 from __future__ import annotations
 
@@ -158,10 +159,12 @@ def covariance_of_estimate(
     *,
     offset_known: bool = False,
 ) -> FloatArray:
-    """Return C (Sigma_V + Q(F)) C^T (..., 3, 3), the covariance of F = C (V - b), N^2: gauge noise and calibration. C:
-    (3, n). noise_covariance: (n, n), strain^2. parameter_covariance: (n, 4, n, 4). F: (..., 3). Q(F)_kl = G^T cov(row
-    k, row l) G, G = (F, 1). offset_known: after a tare the 1 drops out (its own noise belongs into noise_covariance).
-    Raises InputError for other shapes."""
+    """Return C (Sigma_V + Q(F)) C^T (..., 3, 3), the covariance of F = C (V - b), N^2: gauge noise and calibration.
+
+    C: (3, n). noise_covariance: (n, n), strain^2. parameter_covariance: (n, 4, n, 4). F: (..., 3). Q(F)_kl = G^T
+    cov(row k, row l) G, G = (F, 1). offset_known: after a tare the 1 drops out (its own noise belongs into
+    noise_covariance). Raises InputError for other shapes.
+    """
     matrix, F = floats("C", C), floats("F", F_newtons)
     n = matrix.shape[-1]
     Sigma = floats("noise_covariance", noise_covariance)

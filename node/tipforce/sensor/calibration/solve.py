@@ -1,7 +1,8 @@
 """Generalised least squares for V = A F + b with noise that differs from row to row, its variances estimated (REML).
 The direction of a load strays by an angle of the groove (a random effect) and one of each row, by how much of the
 stated scatter is estimated too. Rows are whitened, the groove's effect is taken off by a square root of its marginal
-covariance, the rest is solved by QR."""
+covariance, the rest is solved by QR.
+"""
 
 from __future__ import annotations
 
@@ -138,9 +139,11 @@ def _kink_variance_of(problem: Problem, solution: Solution) -> FloatArray:
 
 
 def _noise_of(problem: Problem, solution: Solution) -> FloatArray:
-    """One step of expectation-maximisation for the gauge noise, restricted likelihood, readings left out imputed. The
-    load-direction part of a residual is taken off by its expectation; e e^T + H undoes what the fit has absorbed.
-    Without direction scatter its fixed point is the sum of e e^T over (rows - unknowns)."""
+    """One step of expectation-maximisation for the gauge noise, restricted likelihood, readings left out imputed.
+
+    The load-direction part of a residual is taken off by its expectation; e e^T + H undoes what the fit has absorbed.
+    Without direction scatter its fixed point is the sum of e e^T over (rows - unknowns).
+    """
     used = problem.observed.any(axis=1)
     row_noise = solution.Sigma / problem.weight[:, np.newaxis, np.newaxis]
     gain = row_noise @ solution.R_inverse

@@ -1,6 +1,7 @@
 """Contacts of many samples: strain to force to contact, uncertainty, status, and where first order holds. The formulas
 of scalar.py, operation by operation, for columns: F1, F2, F3 and the six different elements of the covariance of F,
-each an array of the same shape (or a number). The public functions have them in one array."""
+each an array of the same shape (or a number). The public functions have them in one array.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +19,10 @@ from tipforce.sensor.contact import scalar
 
 def force_vector(P_newtons: npt.ArrayLike, phi_rad: npt.ArrayLike, theta_rad: npt.ArrayLike) -> FloatArray:
     """Return F = (P sin(phi), P sin(phi - theta), P cos(phi)) in newtons, shape (..., 3): equation (16). phi is the
-    direction of the force on the tip, theta the angle of the contact on it, both from the x-axis. Raises InputError
-    where the shapes of the three do not broadcast."""
+    direction of the force on the tip, theta the angle of the contact on it, both from the x-axis.
+
+    Raises InputError where the shapes of the three do not broadcast.
+    """
     P, phi, theta = floats("P", P_newtons), floats("phi", phi_rad), floats("theta", theta_rad)
     try:
         P, phi, theta = np.broadcast_arrays(P, phi, theta)
@@ -33,9 +36,11 @@ def force_vector(P_newtons: npt.ArrayLike, phi_rad: npt.ArrayLike, theta_rad: np
 def force_from_strain(
     C: npt.ArrayLike, strain: npt.ArrayLike, offset_strain: npt.ArrayLike = 0.0, tare_newtons: npt.ArrayLike = 0.0
 ) -> FloatArray:
-    """Return F = C (strain - offset) - tare in newtons, shape (..., 3): equation (1) with offset and tare. C: (3, n),
-    newtons per unit strain. strain: (..., n). offset_strain: (n,), tare_newtons: (3,), or scalars. NaN or infinity
-    makes its row NaN or infinite, no other. Raises InputError where the shapes do not fit."""
+    """Return F = C (strain - offset) - tare in newtons, shape (..., 3): equation (1) with offset and tare.
+
+    C: (3, n), newtons per unit strain. strain: (..., n). offset_strain: (n,), tare_newtons: (3,), or scalars. NaN or
+    infinity makes its row NaN or infinite, no other. Raises InputError where the shapes do not fit.
+    """
     matrix, V = floats("C", C), floats("strain", strain)
     offset, tare = floats("offset_strain", offset_strain), floats("tare", tare_newtons)
     if matrix.ndim != 2 or matrix.shape[0] != 3:
@@ -229,8 +234,11 @@ def status_columns(
 
 def contacts(F_newtons: npt.ArrayLike, *, pull: bool) -> Contact:
     """Return the contacts of forces F of shape (..., 3), newtons: the inverse of equation (16). pull: the load pulls at
-    the surface (a rope), else it pushes (a contact). As scalar.contact(). Raises InputError where the last axis is not
-    3; numbers that are not finite give NaN, never an error."""
+    the surface (a rope), else it pushes (a contact).
+
+    As scalar.contact(). Raises InputError where the last axis is not 3; numbers that are not finite give NaN, never an
+    error.
+    """
     return contact_columns(_forces(F_newtons), 1.0 if pull else -1.0)
 
 
@@ -243,9 +251,11 @@ def estimate(
 
 
 def standard_uncertainties(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike, *, pull: bool) -> FloatArray:
-    """Return the standard uncertainties of P, phi, theta: shape (..., 3), in newtons, radians, radians. F: (..., 3);
-    covariance_F: (3, 3) or (..., 3, 3), symmetric, N^2. As scalar.uncertainty(). Numbers that are not finite, and
-    variances below zero, give NaN. Raises InputError for other shapes."""
+    """Return the standard uncertainties of P, phi, theta: shape (..., 3), in newtons, radians, radians.
+
+    F: (..., 3); covariance_F: (3, 3) or (..., 3, 3), symmetric, N^2. As scalar.uncertainty(). Numbers that are not
+    finite, and variances below zero, give NaN. Raises InputError for other shapes.
+    """
     u = deviation_columns(_forces(F_newtons), _covariances(covariance_F, F_newtons), 1.0 if pull else -1.0)
     return np.stack(u[:3], axis=-1)
 

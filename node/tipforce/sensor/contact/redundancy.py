@@ -2,7 +2,8 @@
 Sigma^-1, is the weighted inverse. n - 3 combinations W of the gauges do not depend on the force (parity directions);
 chi-square is |W V|^2. A fault moves W V along its gauge's column of W. Two gauges with parallel columns cannot be
 distinguished: exactly if the other n - 2 have no rank 3. So four gauges isolate no fault, unless only one is visible,
-which then responds to no force. A gauge is invisible if the others have no rank 3: its fault looks like a force."""
+which then responds to no force. A gauge is invisible if the others have no rank 3: its fault looks like a force.
+"""
 
 from __future__ import annotations
 
@@ -58,9 +59,11 @@ def weighted_inverse(A: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> Flo
 
 
 def structure_matrix(C: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> FloatArray:
-    """Return A = Sigma C^T (C Sigma C^T)^-1, (n, 3), strain per newton: the structure as a calibration describes it. It
-    inverts weighted_inverse(); for a C (3, n) weighted otherwise it gives some A with C A = I, not the true one. Raises
-    InputError where the shapes do not fit, C has no rank 3, or the covariance is not positive definite."""
+    """Return A = Sigma C^T (C Sigma C^T)^-1, (n, 3), strain per newton: the structure as a calibration describes it.
+
+    It inverts weighted_inverse(); for a C (3, n) weighted otherwise it gives some A with C A = I, not the true one.
+    Raises InputError where the shapes do not fit, C has no rank 3, or the covariance is not positive definite.
+    """
     matrix, covariance = _matrix(C), floats("covariance_strain2", covariance_strain2)
     _root(covariance, matrix.shape[1])
     if np.linalg.matrix_rank(matrix) < 3:
@@ -104,10 +107,12 @@ def detect(
     exclusion_rate: float = EXCLUSION_RATE,
     variance_factor: npt.ArrayLike = 1.0,
 ) -> Faults:
-    """Return the fault decisions for readings (..., n), strain without offsets. Faulty: chi-square exceeds the
-    threshold of false_alarm_rate; candidates: gauges whose best-fitting fault leaves (n - 4 degrees of freedom) less
-    than that of exclusion_rate. variance_factor, (...): of the residuals over the gauges' noise; a calibrated C adds 1
-    + G^T N^-1 G. Raises InputError for other shapes, and for rates outside (0, 1)."""
+    """Return the fault decisions for readings (..., n), strain without offsets.
+
+    Faulty: chi-square exceeds the threshold of false_alarm_rate; candidates: gauges whose best-fitting fault leaves (n
+    - 4 degrees of freedom) less than that of exclusion_rate. variance_factor, (...): of the residuals over the gauges'
+    noise; a calibrated C adds 1 + G^T N^-1 G. Raises InputError for other shapes, and for rates outside (0, 1).
+    """
     for name, rate in (("false_alarm_rate", false_alarm_rate), ("exclusion_rate", exclusion_rate)):
         if not 0.0 < rate < 1.0:
             raise InputError(f"{name} = {rate!r}: allowed is above 0 and below 1")

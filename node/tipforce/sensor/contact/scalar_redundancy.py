@@ -5,7 +5,8 @@ strain^2.
 With V = A F + e and the covariance Sigma of e, the n - 3 rows w of ``directions`` have w A = 0 and w Sigma w = 1: p = W
 V does not depend on the force. Gauges that vary more than their noise, by ``extra`` strain^2 (a model uncertainty grows
 with the strain), make p vary by M = I + sum of extra_k w_k w_k; chi-square p M^-1 p is that of redundancy.py with Sigma
-+ diag(extra). A fault f of gauge k adds f w_k to p, w_k being column k of W."""
++ diag(extra). A fault f of gauge k adds f w_k to p, w_k being column k of W.
+"""
 
 from math import erfc, exp, pi, sqrt
 
@@ -80,9 +81,11 @@ def leave_out(
     C: list[list[float]], noise: list[float], left_out: list[int], condition_limit: float = CONDITION_LIMIT
 ) -> tuple[list[list[float]], tuple[float, float, float, float, float, float]] | None:
     """Return (matrix, covariance of F as of scalar.uncertainty()) without the gauges ``left_out`` (from 0); None
-    without rank 3: fewer than three left, a singular covariance, or a condition number over the limit. The matrix is 3
-    rows of n, newtons per unit strain, zeros for them. C must weigh by noise; all zero: equal weights, a covariance of
-    zero."""
+    without rank 3: fewer than three left, a singular covariance, or a condition number over the limit.
+
+    The matrix is 3 rows of n, newtons per unit strain, zeros for them. C must weigh by noise; all zero: equal weights,
+    a covariance of zero.
+    """
     n = len(C[0])
     kept = [k for k in range(n) if k not in left_out]
     A = structure_matrix(C, noise)
@@ -196,9 +199,11 @@ def judge(
     """Return (chi-square, bits of the gauges that may be at fault, (chi-square, visibility) of each gauge's fault).
     strains: without offsets, finite for gauges that are not kept. shown: ``columns``. extra: strain^2 of each gauge
     beside its noise. alarm, exclusion: limits of chi-square with as many degrees of freedom as W has rows, and one
-    less: a gauge explains what its best-fitting fault leaves no more than exclusion of. Bits -1: nothing is wrong; 0:
-    no single gauge explains it; more than one: they cannot be told apart. Zeros for a gauge not shown. NaN in:
-    chi-square NaN, bits 0."""
+    less: a gauge explains what its best-fitting fault leaves no more than exclusion of.
+
+    Bits -1: nothing is wrong; 0: no single gauge explains it; more than one: they cannot be told apart. Zeros for a
+    gauge not shown. NaN in: chi-square NaN, bits 0.
+    """
     chi_square, faults = explained(W, shown, strains, extra)
     bits = 0
     for k in range(len(strains)):
@@ -221,8 +226,10 @@ def explained(
     square_root: "Callable[[Number], Number]" = sqrt,
 ) -> "tuple[Number, list[tuple[Number, Number]]]":
     """Return (chi-square, (what of it the best-fitting fault explains, chi-square per strain^2) of each gauge).
+
     Arguments as of ``judge``; noise: by how much the gauges' noise is larger in variance. With numpy's square root, the
-    strain of each gauge may be a column of samples, and so are the results."""
+    strain of each gauge may be a column of samples, and so are the results.
+    """
     p = [dot(row, strains) for row in W]
     root = None if extra is None else _root(W, extra, noise, square_root)
     q = p if root is None else _forward(root, p)
@@ -240,9 +247,11 @@ def explained(
 def doubt(
     C: "list[list[float]]", noise: "list[float]", faults: "list[tuple[float, float]]"
 ) -> "tuple[float, float, float, float, float, float]":
-    """Return what a fault below the limit adds to the covariance of F: upper triangle, N^2. The squares of what each
-    gauge's best-fitting fault does to F, by the probability of that fault (Bayes: odds of NO_FAULT to 1 before the
-    sample, likelihood exp(explained / 2)). faults: of ``judge``."""
+    """Return what a fault below the limit adds to the covariance of F: upper triangle, N^2.
+
+    The squares of what each gauge's best-fitting fault does to F, by the probability of that fault (Bayes: odds of
+    NO_FAULT to 1 before the sample, likelihood exp(explained / 2)). faults: of ``judge``.
+    """
     n = len(faults)
     shown: list[int] = []
     place, most = 0, 0.0

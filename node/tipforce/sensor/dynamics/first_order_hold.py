@@ -169,8 +169,11 @@ def node_coefficients(modes: Modes, step_s: float) -> Coefficients:
 
 def respond(modes: Modes, loads_newtons: npt.ArrayLike, step_s: float, start: State | None = None) -> Response:
     """Return the elastic force at every sample of a load (m, 3), ``step_s`` apart, m at least 1. start: the state at
-    the first sample, ``at_rest`` if None. After a load that is not finite the force is not, either. Raises InputError
-    for shapes that do not fit, or a step out of range."""
+    the first sample, ``at_rest`` if None.
+
+    After a load that is not finite the force is not, either. Raises InputError for shapes that do not fit, or a step
+    out of range.
+    """
     F = checked_loads(loads_newtons)
     held = np.array(holds(modes, step_s))
     g = F @ modes.load_shape.T
@@ -189,9 +192,11 @@ def checked_loads(loads_newtons: npt.ArrayLike) -> FloatArray:
 
 
 def _scan(held: FloatArray, drive: FloatArray, start: State) -> tuple[FloatArray, FloatArray]:
-    """Return all states (m, n) of the recurrence, in blocks: about 2 sqrt(m) passes through Python instead of m. All
-    blocks start from zero at once; then the state at the end of each is carried to the next, its free motion added by
-    powers of the step's matrix. Multiples of the step would round, which thousands of radians per step would show."""
+    """Return all states (m, n) of the recurrence, in blocks: about 2 sqrt(m) passes through Python instead of m.
+
+    All blocks start from zero at once; then the state at the end of each is carried to the next, its free motion added
+    by powers of the step's matrix. Multiples of the step would round, which thousands of radians per step would show.
+    """
     steps, n = drive.shape[1:]
     if steps == 0:
         return start.position[np.newaxis], start.velocity[np.newaxis]

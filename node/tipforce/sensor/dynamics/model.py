@@ -2,7 +2,8 @@
 rigid, a half cylinder of steel, joined to the outer beam ends by rigid massless legs; the fixture does not move. Joint
 and beams are massless by default: then three modes remain, and all gauges measure one elastic force. With mass there
 are six, the joint's far above, and the gauges of arms and vertical beam differ. Coordinates: y = (v, r rotation, u),
-conjugate to F, in metres. Small motions; no gravity; damping is an assumed ratio per mode."""
+conjugate to F, in metres. Small motions; no gravity; damping is an assumed ratio per mode.
+"""
 
 from __future__ import annotations
 
@@ -94,7 +95,10 @@ def modes(
 ) -> Modes:
     """Return the modes of one body: 3 if joint and beams are massless, else 6. damping_ratio: one for all or for each,
     lowest first. tip: by default half_cylinder(geometry). joint: a rigid block at the origin. beam_density_kg_m3: 0
-    neglects it. Raises InputError for a body beyond floating point, or unfit damping ratios."""
+    neglects it.
+
+    Raises InputError for a body beyond floating point, or unfit damping ratios.
+    """
     if not 0.0 <= beam_density_kg_m3 < math.inf:
         raise InputError(f"beam_density_kg_m3 = {beam_density_kg_m3!r}: allowed is 0 (neglected) or more, finite")
     frame, r = Frame(geometry), geometry.r_m
@@ -200,7 +204,10 @@ _SWEEPS = 60
 def jacobi(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (values (n,), vectors (n, n) as columns), largest value first, by Jacobi's rotations: unlike
     numpy.linalg.eigh, small eigenvalues keep their digits (Demmel and Veselic 1992), a thin beam's beside a thick
-    one's. A rotation is skipped only for an entry small against the geometric mean of its diagonals."""
+    one's.
+
+    A rotation is skipped only for an entry small against the geometric mean of its diagonals.
+    """
     A, Q = matrix.copy(), np.eye(len(matrix))
     pairs = [(i, j) for i in range(len(A)) for j in range(i + 1, len(A))]
     for _ in range(_SWEEPS):

@@ -3,7 +3,8 @@ Axes: x along the horizontal beam, y from the fixture to the tip, z along the wi
 horizontal beam. Rigid tip and joint, clamped vertical beam; Euler-Bernoulli bending in both planes, axial force, St
 Venant's torsion, with warping free, or (thin-rectangle theory of Vlasov) restrained at every beam end: then the shear
 of torsion vanishes there, as the paper states, but an axial strain y z phi'' replaces it, to which a gauge off the
-centre line responds. Neglected: shear deformation, compliance of tip and fixture, stress concentration in corners."""
+centre line responds. Neglected: shear deformation, compliance of tip and fixture, stress concentration in corners.
+"""
 
 from __future__ import annotations
 
@@ -88,9 +89,11 @@ def torsion_constants(width_m: float, thickness_m: float) -> tuple[float, float]
 
 
 def wrench_strain_matrix(geometry: Geometry, gauges: list[PlacedGauge], *, warping_held: bool = False) -> FloatArray:
-    """Return the strain per unit of a wrench on the tip, shape (n, 6), tension positive. The wrench is (Fx, Fy, Fz, Mx,
-    My, Mz) about the middle of the horizontal beam, newtons and newton metres. Raises InputError for a beam that is
-    thicker than wide."""
+    """Return the strain per unit of a wrench on the tip, shape (n, 6), tension positive.
+
+    The wrench is (Fx, Fy, Fz, Mx, My, Mz) about the middle of the horizontal beam, newtons and newton metres. Raises
+    InputError for a beam that is thicker than wide.
+    """
     horizontal = _Section(geometry, geometry.a_m, geometry.h1_m, warping_held)
     vertical = _Section(geometry, geometry.d_m, geometry.h2_m, warping_held)
     arms = _arm_loads(horizontal)
@@ -137,9 +140,11 @@ def apparent_force(
     warping_held: bool = False,
     inward_m: float = 0.0,
 ) -> ApparentForce:
-    """Return the force that a planar calibration computes from unwanted wrenches (m, 6), the worst. Every gauge is
-    misplaced by the two amounts, with the worst signs, and calibrated in the plane there. inward_m: of the gauges'
-    middles from the fixed ends. Raises InputError for an unusable layout, or wrenches of another shape."""
+    """Return the force that a planar calibration computes from unwanted wrenches (m, 6), the worst.
+
+    Every gauge is misplaced by the two amounts, with the worst signs, and calibrated in the plane there. inward_m: of
+    the gauges' middles from the fixed ends. Raises InputError for an unusable layout, or wrenches of another shape.
+    """
     nominal = [nominal_position(geometry, point) for point in layout(gauges)]
     places = [place._replace(position_m=abs(place.position_m - inward_m)) for place in nominal]
     wrenches = np.atleast_2d(floats("wrenches", wrenches))

@@ -6,7 +6,8 @@ joint without width) the frame equals Table 1 of the paper to rounding, its leve
 
 The unknowns are the motion of the joint relative to the fixture and of the tip relative to the joint: then no stiffness
 is added to one of another beam 1e14 times smaller, and with diagonal scaling a body of 1 nm thickness is solved to
-rounding."""
+rounding.
+"""
 
 from __future__ import annotations
 
@@ -95,14 +96,16 @@ class Frame:
         self._scale = geometry.width_m * geometry.youngs_modulus_pascals
 
     def strain_matrix(self, gauges: Sequence[Gauge], gauge_length_m: float = 0.0) -> FloatArray:
-        """Return the strain per newton of F, shape (n, 3), tension positive, as the mean over gauge_length_m. The
-        points K_H and S_H are where their arms start. Raises InputError for an unknown gauge, one off its beam, or one
-        whose length reaches beyond it."""
+        """Return the strain per newton of F, shape (n, 3), tension positive, as the mean over gauge_length_m.
+
+        The points K_H and S_H are where their arms start. Raises InputError for an unknown gauge, one off its beam, or
+        one whose length reaches beyond it.
+        """
         return np.array([self._row(gauge, gauge_length_m) for gauge in gauges], dtype=np.float64).reshape(-1, 3)
 
     def motions(self) -> tuple[FloatArray, FloatArray]:
-        """Return the motion of the tip relative to the joint, and of that relative to the fixture, per newton of F:
-        (3, 3), rows u_m, v_m, rotation_rad."""
+        """Return the motion of the tip relative to the joint, and of that relative to the fixture, per newton of F: (3,
+        3), rows u_m, v_m, rotation_rad."""
         return self._tip / self._scale, self._joint / self._scale
 
     def slit_closure(self, fractions: npt.ArrayLike) -> FloatArray:

@@ -1,6 +1,7 @@
 """Force to strain: gauges at points of Table 1 or anywhere along the beams, their matrices and the quality of these.
 Every matrix multiplies F = P (sin(phi), sin(phi - theta), cos(phi)), equation (16). Strain is linear along a beam
-without load: a gauge of finite length reads that at its middle; one of 1 mm at a corner, 0.5 mm from it."""
+without load: a gauge of finite length reads that at its middle; one of 1 mm at a corner, 0.5 mm from it.
+"""
 
 from __future__ import annotations
 
@@ -48,9 +49,12 @@ def strain_row(
     geometry: Geometry, beam: Beam, side: Side, position_m: npt.ArrayLike, face: Face = "lower"
 ) -> FloatArray:
     """Return the strain per newton of F, shape (..., 3), tension positive, at positions (...); arguments as of
-    GaugePosition. Table 1 at the eight points, linear between them: equations (5) and (6) with the lever arm in place
-    of d, on the horizontal beam from (4) to (3) and (11) to (10). Raises InputError for an unknown beam, side or face,
-    or a position off the beam."""
+    GaugePosition.
+
+    Table 1 at the eight points, linear between them: equations (5) and (6) with the lever arm in place of d, on the
+    horizontal beam from (4) to (3) and (11) to (10). Raises InputError for an unknown beam, side or face, or a position
+    off the beam.
+    """
     if beam not in ("H", "V") or side not in ("left", "right") or face not in ("lower", "upper"):
         raise InputError(
             f"gauge place beam {beam!r}, side {side!r}, face {face!r}: allowed are H or V, left or right, "
@@ -186,7 +190,10 @@ _THIN_LIMIT = {
 def thin_limit_matrix(gauges: Layout) -> FloatArray:
     """Return the strain matrix in the thin-beam limit, shape (n, 3), dimensionless, tension positive: h1 -> 0 with h2 =
     sqrt(8/3) h1 and a = d = r, in units of 3 a / (2 h1^2 width E) per newton; its condition number is the "theory"
-    column of Table 3. Raises InputError for an unusable layout."""
+    column of Table 3.
+
+    Raises InputError for an unusable layout.
+    """
     return np.array([_THIN_LIMIT[point] for point in layout(gauges)], dtype=np.float64)
 
 
@@ -206,9 +213,11 @@ def pseudo_inverse(matrix: FloatArray, names: Iterable[str]) -> FloatArray:
 
 
 def condition_number(matrix: npt.ArrayLike) -> float:
-    """Return the 2-norm condition number of a matrix (n, 3) or (3, n); inf where it is singular. The same for the
-    strain matrix and C. It depends on the units of F (the paper's F2 is a force, not a moment) and on the scale of
-    every row. NaN where an entry is not finite. Raises InputError for another shape."""
+    """Return the 2-norm condition number of a matrix (n, 3) or (3, n); inf where it is singular.
+
+    The same for the strain matrix and C. It depends on the units of F (the paper's F2 is a force, not a moment) and on
+    the scale of every row. NaN where an entry is not finite. Raises InputError for another shape.
+    """
     entries = floats("matrix", matrix)
     if entries.ndim != 2 or 3 not in entries.shape:
         raise InputError(f"the matrix has the shape {entries.shape}: allowed are (n, 3) and (3, n)")

@@ -1,6 +1,7 @@
 """Methods to compute P and theta from counts: each prepared once, then timed as a function without arguments. In
 integers: int64 arrays for a microcontroller's registers, a narrower sum wraps as in hardware, angles are binary, 2^32
-per turn. In MicroPython: its WebAssembly build under Node.js, if both are installed."""
+per turn. In MicroPython: its WebAssembly build under Node.js, if both are installed.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Which way of showing a value says ok and is wrong, for every fault of a scene, by number of gauges. Each finger is
 calibrated by `tipforce calibrate fit`, one scene per fault runs the node's code, and every method reads the same log. A
-row is wrong if its P is off by more than five of its own standard uncertainties."""
+row is wrong if its P is off by more than five of its own standard uncertainties.
+"""
 
 from __future__ import annotations
 
