@@ -6,8 +6,6 @@
 Further arguments go to libFuzzer (a corpus directory, -runs=N, ...). It stops at the first exception.
 """
 
-from __future__ import annotations
-
 import importlib
 import sys
 from typing import Any

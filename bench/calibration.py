@@ -7,8 +7,6 @@ Exit code 1 where the fit is more than 1.15 times as far off as the one that kno
 truth in fewer than 93 or more than 97 per cent.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass, replace
 from functools import partial

@@ -4,8 +4,6 @@ python -m bench.coverage                       the tables of docs/uncertainty.md
 python -m bench.coverage -o FILE.png           a plot, .png or .svg
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import sqrt

@@ -6,8 +6,6 @@ methods get the first part of a log. asammdf has an environment of its own, for 
 `--asammdf` makes build/bench-venv (once). `--check`: every value of a million frames against cantools.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import statistics

@@ -7,8 +7,6 @@
 docs/performance.md holds the figures and what they mean.
 """
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import io

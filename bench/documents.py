@@ -5,8 +5,6 @@ conformance cases; verdict and recommendations of a finished report.
     python -m bench.documents report       of `make report`, in docs/report.md
 """
 
-from __future__ import annotations
-
 import argparse
 import html
 import json

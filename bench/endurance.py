@@ -5,8 +5,6 @@ Industrial I/O source whose devices are played; once an hour one is pulled out f
 bus loses a SYNC and the calibration is stored. Each simulated hour's memory is compared with that of the first.
 """
 
-from __future__ import annotations
-
 import gc
 import logging
 import sys

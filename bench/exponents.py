@@ -7,8 +7,6 @@ The exponent is the slope of log cost over log work by least squares: 1 where co
 constant part counts. The range is that of the slopes of single rounds; within a round, the sizes take turns.
 """
 
-from __future__ import annotations
-
 import statistics
 import tempfile
 from collections.abc import Callable, Sequence

@@ -6,8 +6,6 @@ Every sample is held to the bound derived in tests/export_c/estimators.py; the f
 want arm-none-eabi-gcc (apt: gcc-arm-none-eabi, libnewlib-arm-none-eabi); without it they are left out, and it says so.
 """
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -7,8 +7,6 @@ Single readings of gauges with equal noise, under pushes all over the pad. A fau
 gauge stuck at its unloaded reading, or a gain (part of the strain is lost).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

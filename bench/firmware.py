@@ -7,8 +7,6 @@ of 32 bits as a microcontroller's; its speed is that of this machine, and its ti
 firmware has three NAU7802 and an MCP2515 as fakes: what they take is not counted, but the time they need is.
 """
 
-from __future__ import annotations
-
 import statistics
 import sys
 from dataclasses import asdict

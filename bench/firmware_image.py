@@ -8,8 +8,6 @@ The key is the content of the file, 1 to 64 bytes: `PROGRAM_KEY` in the loader's
 cable. `mpy-cross` compiles for the bytecode version of its own MicroPython; the boards must run that one.
 """
 
-from __future__ import annotations
-
 import argparse
 import re
 import sys

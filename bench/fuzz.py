@@ -9,8 +9,6 @@ A round is one node from power-on through some thousand frames; it follows from 
 an invariant breaks, the frames of that round are reduced to the few that break it and printed.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import struct

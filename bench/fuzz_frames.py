@@ -4,8 +4,6 @@
 ``Random`` that is handed in and from what the node answered, so a round can be repeated from its seed.
 """
 
-from __future__ import annotations
-
 import binascii
 import struct
 from collections import deque

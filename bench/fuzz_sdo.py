@@ -9,8 +9,6 @@ changed, lost, repeated, delayed, replaced, or joined by others that nobody aske
 conversation follows from the seed and its number alone.
 """
 
-from __future__ import annotations
-
 import gc
 import heapq
 import itertools

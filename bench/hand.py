@@ -6,8 +6,6 @@
 The host is a real Hand with the receiver of SocketCAN; see loopback.py for the bus.
 """
 
-from __future__ import annotations
-
 import argparse
 import shutil
 import struct

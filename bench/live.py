@@ -7,8 +7,6 @@ that reads SocketCAN, options and time stamps included. Costs are CPU time and c
 turns.
 """
 
-from __future__ import annotations
-
 import socket
 import statistics
 import tempfile

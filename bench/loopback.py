@@ -1,7 +1,5 @@
 """Loopback sockets that carry struct can_frame: a bus for the receive path where the kernel has no CAN."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import select

@@ -1,7 +1,5 @@
 """What the benchmarks share: the machine, ways that take turns, costs of commands, tables and pages."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import platform

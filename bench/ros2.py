@@ -9,8 +9,6 @@ command) and reader are processes of their own; loopback.py is the bus. A row wa
 busy machine does not count. Exit code 1 if less than 99.9 % of the wrenches that decode gives arrive, or one differs.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

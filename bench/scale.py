@@ -4,8 +4,6 @@
 Processor seconds are of all processes of a run; other work on the machine disturbs them less than the clock.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import statistics

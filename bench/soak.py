@@ -5,8 +5,6 @@ check of every row against what was sent.
     python -m bench.soak --seconds 3600
 """
 
-from __future__ import annotations
-
 import gc
 import math
 import random

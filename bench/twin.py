@@ -8,8 +8,6 @@ its springs, holding a ball. Physics and twin are timed in turns in one run. The
 ``tipforce_robots.mujoco.grasp_model`` with 2 N of motor force against a reference with short steps and stiff contacts.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import time

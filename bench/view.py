@@ -8,8 +8,6 @@ path (bench/loopback.py); the page runs in headless Chromium. "lost rows" are SY
 become a whole row. Figures are as found on this machine; nothing is asserted.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import shutil

@@ -7,8 +7,6 @@ Calls of functions of the product, and calls of C functions in them, count. Comp
 Python do not call them. Paths with a body in the compiled core cost less with it.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Paths that a file names: below its folder, so that a file from elsewhere makes the program reach nothing else."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

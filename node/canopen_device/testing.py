@@ -12,8 +12,6 @@
 
 Before each line that begins with ``>``, ``+`` or ``~``, and at the end, all that was sent must have been named."""
 
-from __future__ import annotations
-
 import itertools
 import re
 import struct

@@ -1,8 +1,6 @@
 """Read all TOML files of users (scene, hand, calibration, ...) as structs, strictly, with errors of one form: each
 names the place, the value, and what is allowed."""
 
-from __future__ import annotations
-
 import datetime
 import math
 import re

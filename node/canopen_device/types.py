@@ -3,8 +3,6 @@ is named by a letter: that of ``struct``, "s" a VISIBLE_STRING, "o" an OCTET_STR
 "t" TIME_OF_DAY and "T" TIME_DIFFERENCE (six bytes), "i3" to "i7" and "u3" to "u7" integers of 24 to 56 bits.
 """
 
-from __future__ import annotations
-
 import operator
 import struct
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """Text of devices and files as people may see it: characters that control a terminal or hide others are escapes."""
 
-from __future__ import annotations
-
 import re
 
 _HIDDEN = (

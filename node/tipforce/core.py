@@ -1,7 +1,5 @@
 """The compiled core (_core.c), if it was built where tipforce was installed; without it everything works, slower."""
 
-from __future__ import annotations
-
 import os
 import sys
 from importlib import import_module

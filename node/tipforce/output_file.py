@@ -1,8 +1,6 @@
 """Output files: written under a temporary name beside their own, and renamed when complete: an error leaves the old
 file. A file that is also an input, or of another kind than the new one, is refused."""
 
-from __future__ import annotations
-
 import io
 import os
 import re

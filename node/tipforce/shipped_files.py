@@ -1,7 +1,5 @@
 """Find the files that ship with tipforce by name: scenes, EDS and DBC; and the folder of the ROS 2 packages."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tipforce.errors import InputError

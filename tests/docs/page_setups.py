@@ -1,7 +1,5 @@
 """What the examples of a page need and its reader need not see: files, nodes on a bus inside the process."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import itertools

@@ -5,8 +5,6 @@ A line ``$ COMMAND`` of a console block is a call of ``shell(COMMAND)``, and the
 not see. A ```` ```toml ```` or other block whose info string has ``title="NAME"`` is written to that file.
 """
 
-from __future__ import annotations
-
 import contextlib
 import doctest
 import glob

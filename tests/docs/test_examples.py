@@ -3,8 +3,6 @@
 Shell blocks without output: each line that needs no hardware and takes seconds is run as pasted.
 """
 
-from __future__ import annotations
-
 import contextlib
 import gzip
 import io

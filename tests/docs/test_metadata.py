@@ -1,7 +1,5 @@
 """The files that describe the project agree with each other and have their form; what they refer to exists."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import subprocess

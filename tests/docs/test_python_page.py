@@ -1,7 +1,5 @@
 """The programs of docs/python.md, its recipes for other packages and the example tests run as a user runs them."""
 
-from __future__ import annotations
-
 import importlib.util
 import itertools
 import os

@@ -1,7 +1,5 @@
 """The PDOs of a latch become one sample: by the rules of logs, however the stream is cut."""
 
-from __future__ import annotations
-
 import random
 import struct
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The compiled core makes the rows that the loop in Python makes; contacts of rows are those of the columns."""
 
-from __future__ import annotations
-
 import random
 import struct
 from array import array

@@ -1,7 +1,5 @@
 """Run one scene in a Python of its own and tell, as JSON, what was loaded, made, computed and sent."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -3,8 +3,6 @@
 It runs in a network namespace of its own, with loopback as the only interface, so that no frame leaves the machine.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

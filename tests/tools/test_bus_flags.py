@@ -3,8 +3,6 @@
 On a second person's board the first command that somebody would try names what is missing, and the remedy.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib.metadata
 import json

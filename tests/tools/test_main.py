@@ -1,7 +1,5 @@
 """The command `tipforce` itself: help, imports, exit codes, closed pipes; what all share: node-ids, buses, asking."""
 
-from __future__ import annotations
-
 import argparse
 import io
 import json

@@ -1,7 +1,5 @@
 """`tipforce plot`: bins that lose no peak, angles without jumps, gaps for the unknown, bands, and the command."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

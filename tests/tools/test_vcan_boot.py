@@ -1,7 +1,5 @@
 """`tipforce vcan --uml` booted: on a processor with AMX, as `larger_xstate.c` plays one, and for an ordinary user."""
 
-from __future__ import annotations
-
 import os
 import pty
 import resource

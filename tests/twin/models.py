@@ -1,7 +1,5 @@
 """Small MuJoCo models with fingertips, for the tests of the twin."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import mujoco

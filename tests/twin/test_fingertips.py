@@ -1,7 +1,5 @@
 """Contacts of a MuJoCo model as strain, counts, status and contact, held against MuJoCo's own wrench and the node."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

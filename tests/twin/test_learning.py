@@ -1,7 +1,5 @@
 """Fingers as observations: of a node on a bus, of the twin, of a recording; and the grasp as an environment."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

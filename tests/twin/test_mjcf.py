@@ -1,7 +1,5 @@
 """`tipforce export mjcf`: the body loads in MuJoCo, and has the mass, the outline and the modes of the sensor."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import mujoco

@@ -1,7 +1,5 @@
 """Fingertips of a MuJoCo model as nodes on a bus in simulated time, and the grasp of docs/examples."""
 
-from __future__ import annotations
-
 import itertools
 import struct
 from collections.abc import Iterator

@@ -3,8 +3,6 @@
 The registers are set through /dev/i2c-0, as i2c-tools' `i2cset` does, while the kernel's driver reads them.
 """
 
-from __future__ import annotations
-
 import ctypes
 import fcntl
 import os

@@ -3,8 +3,6 @@
 Not in the test module, because each node's process imports what it is defined in, and there pytest takes a second.
 """
 
-from __future__ import annotations
-
 import fcntl
 import gc
 import socket

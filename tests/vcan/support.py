@@ -1,7 +1,5 @@
 """A raw socket that shares no code with what is tested, and commands whose processes end with their test."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import itertools

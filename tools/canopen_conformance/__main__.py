@@ -1,7 +1,5 @@
 """`python -m canopen_conformance`: test a CANopen device on a bus of python-can, by clause of the standards."""
 
-from __future__ import annotations
-
 import argparse
 import signal
 import sys

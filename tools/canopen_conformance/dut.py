@@ -1,7 +1,5 @@
 """The device under test: an NMT master and SDO client on raw frames."""
 
-from __future__ import annotations
-
 import re
 import struct
 from collections import deque

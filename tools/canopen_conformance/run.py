@@ -1,7 +1,5 @@
 """Run cases: select those that apply, collect the results, print them by clause with the frames of each failure."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence

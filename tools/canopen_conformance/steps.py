@@ -4,8 +4,6 @@ A step is any function of the Dut: a case is a sequence of them, or one function
 running case knows are ``late``.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager

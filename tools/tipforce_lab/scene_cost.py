@@ -1,8 +1,6 @@
 """Run time and import time of each part of a scene: the scene with the part against the scene without it. A part that
 others depend on is timed without them, so that each cost is counted once."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

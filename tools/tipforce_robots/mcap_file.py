@@ -1,8 +1,6 @@
 """Write MCAP for Foxglove and other readers: ROS 2 messages of each fingertip, a drawing, and the CAN frames. The
 frames, as can_msgs/Frame, keep everything: each command of tipforce reads the file as the log that it was."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence

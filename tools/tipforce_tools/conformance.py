@@ -1,7 +1,5 @@
 """`tipforce conformance`: raw-frame checks of a CANopen device on a bus, by clause of the standard."""
 
-from __future__ import annotations
-
 import argparse
 
 from tipforce.errors import InputError, NoResponseError

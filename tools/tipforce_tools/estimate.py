@@ -1,7 +1,5 @@
 """`tipforce estimate`: contact with standard uncertainties from gauge readings, row by row."""
 
-from __future__ import annotations
-
 import argparse
 import csv
 import math

@@ -1,7 +1,5 @@
 """`tipforce report`: error against run time, and the behaviour in extreme cases."""
 
-from __future__ import annotations
-
 import argparse
 import datetime
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A DCF: the EDS of a device with the values of part node (CiA 306-1, 4.7)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 
 from canopen_device.eds.description import Description

@@ -1,7 +1,5 @@
 """What an EDS or DCF says of a device: objects with their entries, general facts, and what is wrong with the file."""
 
-from __future__ import annotations
-
 import difflib
 import re
 from dataclasses import dataclass, field

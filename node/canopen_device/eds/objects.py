@@ -1,7 +1,5 @@
 """Objects of an EDS or DCF from their sections: entries, records, arrays, compact arrays with lists (CiA 306-1)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path

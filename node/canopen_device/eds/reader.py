@@ -1,7 +1,5 @@
 """Read an EDS or DCF completely: general sections, objects, and the checks between them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from canopen_device.eds import values

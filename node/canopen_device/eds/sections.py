@@ -1,8 +1,6 @@
 """The text of an EDS or DCF as sections and keys, with the line of each, and what is wrong with it (CiA 306-1, 4.4).
 ``KEYS`` are the keys of one form: parser, default, name in an XDD (CiA 306-1, CiA 311)."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field

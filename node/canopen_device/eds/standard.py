@@ -1,7 +1,5 @@
 """What CiA 301 fixes for the communication area (7.5.2) where a file omits or changes it; contradictions in a file."""
 
-from __future__ import annotations
-
 from canopen_device.core import codes
 from canopen_device.core import communication as at
 from canopen_device.core.object_dictionary import RPDO, TPDO

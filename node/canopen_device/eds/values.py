@@ -1,8 +1,6 @@
 """Numbers and values as an EDS writes them: hexadecimal, decimal, octal, $NODEID, text, REAL as decimal or as bits.
 Each function returns what it read and a remark, "" where the text is as CiA 306-1 has it. Nothing raises."""
 
-from __future__ import annotations
-
 import math
 import re
 import struct

@@ -1,7 +1,5 @@
 """A device description as XDD (CiA 311), written, and an XDD or XDC read as the sections of an EDS or DCF."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path

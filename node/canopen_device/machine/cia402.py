@@ -1,7 +1,5 @@
 """A CiA 402 drive: states, profile and cyclic position and velocity, homing (CiA 402-2); in increments and seconds."""
 
-from __future__ import annotations
-
 import math
 
 from canopen_device.core.codes import INVALID_VALUE

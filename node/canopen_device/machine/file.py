@@ -1,7 +1,5 @@
 """A machine in TOML: several simulated devices with their values, signals, faults and applications."""
 
-from __future__ import annotations
-
 import operator
 import types
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Run devices on a bus: pass received frames and the time in, send the frames that come out. One thread, many nodes."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

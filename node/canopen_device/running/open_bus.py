@@ -1,7 +1,5 @@
 """Open a bus of python-can, with errors that say what to do."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

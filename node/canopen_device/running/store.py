@@ -1,7 +1,5 @@
 """Store parameters on disk in two slots: each save replaces the older slot completely, so one slot is always intact."""
 
-from __future__ import annotations
-
 import binascii
 import contextlib
 import json

@@ -3,8 +3,6 @@ network returns a sender's own datagrams, because other programs of the same mac
 received its own frames would report a collision of COB-IDs (EMCY 8150h).
 """
 
-from __future__ import annotations
-
 import copy
 import logging
 import secrets

@@ -3,8 +3,6 @@
 ``NAME: Final`` there for another), and the object reference as Markdown, every object and the PDOs byte by byte.
 """
 
-from __future__ import annotations
-
 import itertools
 import re
 import sys

@@ -1,7 +1,5 @@
 """Texts of the CANopen services: SDO abort codes, EMCY error codes, NMT states, LSS services (CiA 301, CiA 305)."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from canopen_device.core import codes, emcy

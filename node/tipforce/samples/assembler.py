@@ -1,7 +1,5 @@
 """The samples of live frames, as soon as they are complete: the PDOs of a latch by ``SampleRule``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One sample of one finger, as people and programs read it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

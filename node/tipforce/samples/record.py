@@ -1,8 +1,6 @@
 """Samples as columns, the rows of a hand, and one sample as named values. What frames carry is kept as raw words; a
 column is made when it is first read."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property

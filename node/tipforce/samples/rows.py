@@ -9,8 +9,6 @@ While each SYNC follows the last and every answer is to it, the compiled core do
 state of its own; the first other frame brings the state back (``_leave``), and the loop here goes on.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 import threading

@@ -1,7 +1,5 @@
 """The numbers that SYNCs carry (CiA 301, 7.2.5.3): the distance between two of them, and where a count restarts."""
 
-from __future__ import annotations
-
 LARGEST = 240
 """Largest value of 1019h: the numbers are 1 to 1019h."""
 

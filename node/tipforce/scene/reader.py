@@ -1,7 +1,5 @@
 """Read a scene file, and check it beyond its types: unique node-ids, one load per finger, PDOs that need a SYNC."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path

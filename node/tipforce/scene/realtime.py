@@ -1,8 +1,6 @@
 """Run a scene on a python-can bus in real time: the nodes in one loop, and a host in parallel that sends the SYNC. The
 host has its own connection, so the frames that it records were really on the bus."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable, Sequence

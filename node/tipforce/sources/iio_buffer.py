@@ -4,8 +4,6 @@ sequence follows the kernel's documentation (iio/iio_devbuf, iio/iio_configfs): 
 enabled channels in the order of their index, each aligned to its own size, the 64-bit time stamp last.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 from collections import deque

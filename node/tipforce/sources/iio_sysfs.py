@@ -4,8 +4,6 @@ thousandths of a degree Celsius for a temperature. All functions take the root d
 own. They raise OSError if the kernel returns an error, and InputError for a name that matches nothing.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Sequence

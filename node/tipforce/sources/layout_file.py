@@ -19,8 +19,6 @@ converter, for `tipforce node --source iio:...` alone. The scaling 6120h to 6123
 converter's scale: (raw + offset) * scale is the voltage at the converter in millivolts (Linux, sysfs-bus-iio), gauge
 factor * arms * excitation volts (``front_end.Bridge``) * gain per unit strain, on top of the voltage at no strain."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

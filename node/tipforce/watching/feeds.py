@@ -1,7 +1,5 @@
 """Rows of all fingers and events, live: of a commissioned hand, or of frames of a bus or a log that are listened to."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque

@@ -1,7 +1,5 @@
 """Two nodes with one node-id, found by what they send; one node on a faulty bus, never."""
 
-from __future__ import annotations
-
 import random
 import struct
 from collections.abc import Iterable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """A prepared estimator: one reading, a table and `estimate` agree; what a call computes, and what it does not."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

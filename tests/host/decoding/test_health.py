@@ -1,7 +1,5 @@
 """2124h as TPDO4, EMCY and boot-ups tell it: what the host understands is what the node has."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

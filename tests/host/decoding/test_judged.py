@@ -1,7 +1,5 @@
 """One data set with every fault, judged by a node sample by sample and by the host at once: the same verdicts."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Samples out of frames: the same rows however a log is cut into blocks, files or parts, and whoever decodes them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path

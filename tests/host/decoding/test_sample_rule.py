@@ -1,7 +1,5 @@
 """The compiled core joins frames to rows as the Python body does, on sequences with all that a bus may do."""
 
-from __future__ import annotations
-
 import random
 import struct
 from itertools import pairwise

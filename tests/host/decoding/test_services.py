@@ -1,7 +1,5 @@
 """CANopen services as text, and the events of a recording; SDO transfers of a real node, byte for byte."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Lost samples where SYNCs carry numbers: from the log alone, also where the numbering begins in the middle of it."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

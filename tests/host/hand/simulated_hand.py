@@ -4,8 +4,6 @@ The nodes respond after ``LATENCY_US``, the hand looks every millisecond, and wh
 between. Loads are known for each SYNC, so that every row can be compared with what pressed on the fingers.
 """
 
-from __future__ import annotations
-
 import contextlib
 import heapq
 import itertools

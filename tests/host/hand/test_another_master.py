@@ -5,8 +5,6 @@ The cases come from the dictionary. The loads are known for each SYNC: no row ma
 A sample runs here; with TIPFORCE_ALL_WRITES=1 all of them (``make long``), which print a table with -s.
 """
 
-from __future__ import annotations
-
 import os
 import random
 import struct

@@ -1,7 +1,5 @@
 """Bring-up of whole hands on the in-process bus: unconfigured nodes, wrong ones, and ones that fail half-way."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import time

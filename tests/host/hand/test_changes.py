@@ -1,7 +1,5 @@
 """What a user sees of another master: reasons of rows, texts of events, what the hand undoes; in simulated time."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable

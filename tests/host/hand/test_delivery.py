@@ -1,7 +1,5 @@
 """Rows to consumers: each gets all from the moment it asks, a slow one loses the oldest and is told."""
 
-from __future__ import annotations
-
 import asyncio
 import pickle
 import threading

@@ -1,7 +1,5 @@
 """Events of a hand: heartbeats, EMCY, babbling identifiers; frames and time in, events out."""
 
-from __future__ import annotations
-
 import pytest
 
 from tipforce.host.frames.frame_array import frame_array

@@ -1,7 +1,5 @@
 """A hand that runs in its own threads, its parts with threads, its benches; in simulated time: test_changes.py."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator

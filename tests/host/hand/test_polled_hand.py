@@ -1,7 +1,5 @@
 """A hand: one row per SYNC, of one instant, with the missing finger marked."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import can

@@ -1,7 +1,5 @@
 """Rows: which SYNC each answer belongs to, by its number, and without numbers; against what was sent."""
 
-from __future__ import annotations
-
 import random
 import struct
 

@@ -1,7 +1,5 @@
 """The runs of bench/live.py, short: that nothing is lost, in what order it comes, that each way really receives."""
 
-from __future__ import annotations
-
 import pytest
 from bench import live
 

@@ -1,7 +1,5 @@
 """The receive path: SocketReceiver over connected datagram sockets that carry can_frames, python-can's virtual bus."""
 
-from __future__ import annotations
-
 import errno
 import socket
 import struct

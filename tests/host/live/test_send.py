@@ -1,7 +1,5 @@
 """Sending on a raw CAN socket, as far as it goes without one: a full queue, no CAN FD, a bus that is down."""
 
-from __future__ import annotations
-
 import errno
 import socket
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Packed logs that unpack to more than they may: refused after a bounded number of bytes; real ones are read."""
 
-from __future__ import annotations
-
 import gzip
 import sqlite3
 import struct

@@ -1,8 +1,6 @@
 """Bus: NMT, waiting for frames, the buffer of what came; opening a bus that is not there; responses to LSS; finding
 nodes: our own, a stopped one, foreign devices, and one that dies meanwhile."""
 
-from __future__ import annotations
-
 import itertools
 import struct
 import threading

@@ -1,7 +1,5 @@
 """The faulty bus: each fault as often as asked, the same for a seed; bits on the wire, and the budget of a hand."""
 
-from __future__ import annotations
-
 import time
 from collections import Counter
 from collections.abc import Iterator

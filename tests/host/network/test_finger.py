@@ -1,7 +1,5 @@
 """A calibration on its way into a node: taken whole, or refused with nothing changed."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """SdoChannel against real nodes: values, aborts, lost and damaged answers, many threads; asyncio in virtual time."""
 
-from __future__ import annotations
-
 import asyncio
 import struct
 import threading

@@ -1,7 +1,5 @@
 """The rows and files of datasets, for the tests of `tipforce decode -o DIR/`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

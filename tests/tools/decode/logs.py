@@ -1,7 +1,5 @@
 """Logs of fingers for the tests of `tipforce decode`: seeded, with losses, unknown values and rare messages."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """What is chosen of a log: times, layouts, grids, calibrations."""
 
-from __future__ import annotations
-
 import csv
 import io
 from datetime import datetime

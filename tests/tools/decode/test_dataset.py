@@ -1,7 +1,5 @@
 """Datasets: what is there is left alone, what is new is added, and the rows are those of one decode."""
 
-from __future__ import annotations
-
 import contextlib
 import gzip
 import json

@@ -1,7 +1,5 @@
 """Datasets whose files, manifest or logs are not as they should be: equal rows, or one line with the next step."""
 
-from __future__ import annotations
-
 import gzip
 import os
 import signal

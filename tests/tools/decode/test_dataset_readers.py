@@ -1,7 +1,5 @@
 """Other programs and queries read a dataset: the rows are those of the logs, and a query reads the dataset alone."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

@@ -1,7 +1,5 @@
 """`decode -o run.mcap`: mcap and mcap-ros2-support read it, its values are those of the CSV, and it is a log."""
 
-from __future__ import annotations
-
 import bisect
 import json
 import math

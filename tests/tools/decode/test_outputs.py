@@ -1,7 +1,5 @@
 """Where `tipforce decode` writes, and what is there when it fails."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import os

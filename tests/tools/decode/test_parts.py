@@ -1,7 +1,5 @@
 """A recording in parts, decoded by workers in any order, some of which die: the rows are those of one pass."""
 
-from __future__ import annotations
-
 import os
 import random
 import struct

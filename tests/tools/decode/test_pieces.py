@@ -1,7 +1,5 @@
 """A large log in pieces, each decoded by a process: the same output, counts and bad lines as in one."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """What `tipforce decode` writes equals what cantools reads, in every format."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -3,8 +3,6 @@
 fault NODE NAME | end
 """
 
-from __future__ import annotations
-
 import signal
 import sys
 import threading

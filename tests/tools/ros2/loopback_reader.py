@@ -3,8 +3,6 @@
 Prints one JSON record of what it saw.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import subprocess

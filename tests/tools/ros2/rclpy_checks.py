@@ -1,7 +1,5 @@
 """ROS 2 itself, rclpy with Fast DDS, both with default settings, reads a simulated hand: run by tests/ros2.sh."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

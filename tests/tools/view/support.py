@@ -1,7 +1,5 @@
 """Pages without a bus: rows by hand, a source that a test moves, a running server."""
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import json

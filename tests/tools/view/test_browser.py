@@ -1,7 +1,5 @@
 """The page in a real browser, headless Chromium: live, pause, scrub, replay, faults, tare, keyboard, export."""
 
-from __future__ import annotations
-
 import sys
 import threading
 from collections.abc import Iterator

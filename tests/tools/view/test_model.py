@@ -3,8 +3,6 @@
 and what a browser gets, however slowly it takes it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """The server over real sockets: who may ask for what, answers, streams; who reads nothing holds up nobody."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import json

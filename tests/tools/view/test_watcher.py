@@ -3,8 +3,6 @@
 blocks, with the uncertainty of the sensor and what the node does not send computed as it would.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

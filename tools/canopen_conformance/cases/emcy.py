@@ -1,7 +1,5 @@
 """EMCY (CiA 301, 7.2.7), SYNC (7.2.5), TIME and the high-resolution time stamp (7.2.6)."""
 
-from __future__ import annotations
-
 import struct
 
 from canopen_conformance import steps as do

@@ -1,7 +1,5 @@
 """Identity of the device (CiA 301, 7.5.2.1 to 7.5.2.33), and its stored parameters (7.5.2.13 and 7.5.2.14)."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager

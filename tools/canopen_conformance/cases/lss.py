@@ -1,8 +1,6 @@
 """LSS slave: switch state, configure, inquire, identify (CiA 305). All cases select the device by its identity, so that
 other slaves stay as they are; two switch all of them to configuration and back (switch state global)."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """NMT: transitions, resets, boot-up, what each state allows; heartbeat and node guarding (CiA 301, 7.2.8 and 7.3.2)."""
 
-from __future__ import annotations
-
 import struct
 from functools import partial
 from itertools import product

@@ -1,7 +1,5 @@
 """PDOs: transmission, reception, timers (CiA 301, 7.2.2); which parameters may be written (7.5.2.35 to 7.5.2.38)."""
 
-from __future__ import annotations
-
 import struct
 from itertools import pairwise, product
 

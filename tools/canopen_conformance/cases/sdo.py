@@ -1,7 +1,5 @@
 """SDO server: expedited and segmented transfer, and aborts (CiA 301, 7.2.4)."""
 
-from __future__ import annotations
-
 import struct
 
 from canopen_conformance import steps as do

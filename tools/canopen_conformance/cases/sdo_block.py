@@ -1,7 +1,5 @@
 """SDO server: upload and download by blocks (CiA 301, 7.2.4.3.9 to 7.2.4.3.16)."""
 
-from __future__ import annotations
-
 import binascii
 import struct
 

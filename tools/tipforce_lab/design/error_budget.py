@@ -3,8 +3,6 @@ cause is a set of independent elementary errors; the covariance of F is the sum 
 A fixed offset, gain, shift or angle is not noise: its row is the scatter of the estimates of many such sensors.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import pi, sqrt
 

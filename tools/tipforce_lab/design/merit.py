@@ -3,8 +3,6 @@ figures by beam theory are closed formulas of Table 1; optimise any of them, rep
 number alone does not contain noise: it is unchanged if every gauge reads half as much.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace

@@ -3,8 +3,6 @@ material values are typical ones of data sheets (assumed: the paper names AISI 4
 by those of the sheet that is bought. Yield is static; repeated loads need a fatigue limit.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import NamedTuple

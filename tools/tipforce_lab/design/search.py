@@ -4,8 +4,6 @@ are continuous: sequential quadratic programming (scipy's SLSQP) from random sta
 step through Table 1).
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import warnings

@@ -1,8 +1,6 @@
 """The paper's tables, its figures 6 and 9 and section 3.3 as sections of `tipforce design table`, beside the printed
 values: condition numbers, gauge shifts, errors in the grooves, loads off the plane."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 from functools import partial

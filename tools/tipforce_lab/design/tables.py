@@ -1,8 +1,6 @@
 """Tables 1, 2 and 3 of the paper, recomputed: coefficients, largest stresses and places, condition numbers by unit.
 Tension is positive, except in table_1(), which keeps the paper's signs; angles are in degrees, as the tables print."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ linearity between events; a contact is a force that is 0 while open. Values that
 infinite or NaN: an unstable run is a valid result. closed_form() is their reference.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -12,8 +12,6 @@ closed is a cubic along each arm; the stop has as many contact points there as b
 direction, within two per cent of the true one. The arm yields where it is pressed, as a beam with held ends. The force
 between tip and arm is an inner one: fixture and vertical beam feel the applied force alone."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import NamedTuple

@@ -5,8 +5,6 @@ m)^grading: cells shrink equally in both directions, none becomes long and thin.
 mesh has as many unknowns as the uniform one (grading = 1), and that of 2 n contains the nodes of that of n.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields

@@ -3,8 +3,6 @@ read of it: the difference of displacement between a gauge's ends over its lengt
 corner, where strain is infinite. Young's modulus and the width are 1 inside, and divided by at the end.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Run the studies and read the extreme cases. A missing package or a failure is a line in the report, not its end."""
 
-from __future__ import annotations
-
 import importlib
 import platform
 import traceback

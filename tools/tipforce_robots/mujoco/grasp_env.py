@@ -1,7 +1,5 @@
 """The grasp of a ball as a gymnasium environment: observations as a controller on the bus has them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,8 +1,6 @@
 """ROS 2 messages: definitions, tipforce_msgs from its .msg files, and bytes, little-endian plain CDR (XCDR1) with its
 header of four bytes. ``encode`` writes one message; ``Layout`` many at once, if only their numbers differ."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping
 from functools import cache

@@ -1,7 +1,5 @@
 """`tipforce calibrate guide`: guided calibration of a node on the bus, from the first weight to storage."""
 
-from __future__ import annotations
-
 import argparse
 
 from tipforce.errors import InputError

@@ -1,8 +1,6 @@
 """Execute the steps of a guided calibration: show the instruction, wait, capture, check, write the row; at the end fit.
 A capture is checked for quiet, new and complete samples; otherwise it is refused with a reason and a remedy."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections import deque

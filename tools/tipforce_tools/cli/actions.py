@@ -1,7 +1,5 @@
 """Commands with actions: `design table`, each action a module with its own flags, and `sdo read`."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import os

@@ -1,7 +1,5 @@
 """Add logs to a dataset: what it has is left alone, what is new is decoded by workers and committed part by part."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import time

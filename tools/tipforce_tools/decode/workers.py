@@ -3,8 +3,6 @@ in front has passed, it gets the ``State`` behind that, returns the one behind i
 writes its rows; a record of what was written comes back. A part is repeated if its worker dies.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import sys
 from collections.abc import Iterable, Iterator, Sequence

@@ -1,8 +1,6 @@
 """The demo: calibrate and store three simulated nodes over SDO, load them as in the paper, read them by PDO. Input from
 the paper: the fabricated geometry, the three gauge cases, the grooves and the 4.4 N weight."""
 
-from __future__ import annotations
-
 import contextlib
 import datetime
 import statistics

@@ -1,7 +1,5 @@
 """One run of `tipforce dump`: from a source through filters and decoder to stdout, and the final report."""
 
-from __future__ import annotations
-
 import json
 import math
 import sys

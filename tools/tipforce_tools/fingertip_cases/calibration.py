@@ -1,7 +1,5 @@
 """Calibration of a fingertip: stage, commit, lock, validity of its values (2100h to 2126h, 2140h, 2141h)."""
 
-from __future__ import annotations
-
 import binascii
 import math
 import struct

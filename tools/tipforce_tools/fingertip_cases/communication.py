@@ -1,7 +1,5 @@
 """Beyond the standard: SDO, NMT, error control, EMCY, identity, storage, SYNC, TIME and the CAN controller's faults."""
 
-from __future__ import annotations
-
 import struct
 
 from canopen_conformance import steps as do

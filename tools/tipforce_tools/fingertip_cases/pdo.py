@@ -1,7 +1,5 @@
 """PDOs of a fingertip: parameters and types beyond the standard, interrupts (CiA 404), sample counter and status."""
 
-from __future__ import annotations
-
 import struct
 from itertools import product
 

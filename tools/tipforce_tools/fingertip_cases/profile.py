@@ -1,7 +1,5 @@
 """Analogue inputs of a fingertip (CiA 404): one value in three forms, unit, status, filters, zero and tare."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager

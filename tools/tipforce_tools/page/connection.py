@@ -1,7 +1,5 @@
 """One page on its WebSocket: its JSON requests and their responses, and its stream of pictures."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import math

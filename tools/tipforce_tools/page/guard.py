@@ -5,8 +5,6 @@
 - A WebSocket may write if writes are allowed and its handshake had an Origin.
 - Beyond loopback every request needs the access token."""
 
-from __future__ import annotations
-
 import argparse
 import hmac
 import ipaddress

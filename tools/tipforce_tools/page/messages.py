@@ -1,7 +1,5 @@
 """What a page gets: pictures, envelopes and events by its playhead, the drawing of a finger, the rows as CSV."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence

@@ -1,8 +1,6 @@
 """The model of a page: the last minutes, or a whole log, of all fingers, with events and counters, as one thread writes
 and any number of browsers read them: pictures of a moment, envelopes of any part."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque

@@ -1,7 +1,5 @@
 """Sources of a page: a feed of live rows, a log whose rows all stay in memory, a scene that is run."""
 
-from __future__ import annotations
-
 import dataclasses
 import tempfile
 import time

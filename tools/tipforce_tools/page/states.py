@@ -1,7 +1,5 @@
 """The state of each finger at a moment, from the rows up to then: never live without a young sample."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import msgspec

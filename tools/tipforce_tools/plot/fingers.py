@@ -1,7 +1,5 @@
 """Fingers of a recording as traces in bounded memory (bins keep extremes): quantities with bands, flags, losses."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 

@@ -3,8 +3,6 @@ footer is a FileMetaData of Thrift's compact protocol (parquet.thrift of the Par
 structures; only the offsets of the column chunks are moved, and the row groups are put into one list.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import struct

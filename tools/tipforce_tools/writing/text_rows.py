@@ -1,7 +1,5 @@
 """Format tables as text lines, CSV and JSON lines."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """Formats of outputs, the columns of an output, and the writers of rows in one stream, and in a file of parts."""
 
-from __future__ import annotations
-
 import glob
 import os
 import tempfile

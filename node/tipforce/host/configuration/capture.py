@@ -1,7 +1,5 @@
 """Capture many readings of one node's gauges under one constant load, and average them."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress

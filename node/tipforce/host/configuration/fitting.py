@@ -1,7 +1,5 @@
 """From measurements with loads to a calibration, with its checks."""
 
-from __future__ import annotations
-
 import datetime
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Read measurements as CSV: gauge readings with loads, times and modes; bad rows by line and reason."""
 
-from __future__ import annotations
-
 import codecs
 import csv
 import re

@@ -1,7 +1,5 @@
 """The files of a dataset in a directory of this machine, or behind any URL that fsspec opens (object store, memory)."""
 
-from __future__ import annotations
-
 import atexit
 import errno
 import os

@@ -1,7 +1,5 @@
 """Contact from gauges by the host's calibration, with standard uncertainties: of a log, and of `tipforce estimate`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -3,8 +3,6 @@
 PDO, so EMCY is all that a bus shows of them; bit 13 has none.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import replace

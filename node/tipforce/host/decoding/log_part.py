@@ -1,7 +1,5 @@
 """A log, or a part of one, as blocks of the selected frames, with notes on what else it holds."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache, partial

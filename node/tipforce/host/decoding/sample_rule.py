@@ -4,8 +4,6 @@ carries the counter of the last latch: it joins the node's last sample if that h
 kind. Every other PDO is a sample of its own. The rule uses pairs of frames: samples do not depend on calls.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable
 from itertools import accumulate, pairwise

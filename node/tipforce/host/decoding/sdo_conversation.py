@@ -1,7 +1,5 @@
 """SDO transfers seen from outside: one node's requests and responses as text (CiA 301, 7.2.4), with objects' names."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Iterable
 from typing import Any, TypeAlias

@@ -3,8 +3,6 @@
 ``tipforce decode``. Identifiers are those of the predefined connection set (CiA 301, 7.3.5).
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple

@@ -1,8 +1,6 @@
 """Bring up a hand from powered nodes: find, assign node-ids, configure, verify, calibrate, start. Fingers are brought
 up in parallel; one that fails does not block the others. Its report names the failed step."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -1,8 +1,6 @@
 """Events of a hand in order: heartbeats, boot-ups, EMCY, faults of the bus, identifiers that babble. Frames and time
 in, events out; no clock and no bus inside."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A hand as a TOML file (docs/hand.md): its bus, its fingers, their settings and PDOs, and the SYNC rate."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -3,8 +3,6 @@ SocketCAN the receiver is a raw socket of its own, which also receives the kerne
 does both, and own SYNCs, sent by a thread, are inserted among the received frames.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence

@@ -1,8 +1,6 @@
 """What a finger sends and what it means: read from the node, compared as the wire carries it, and written back. Every
 setting of the dictionary is watched; a new object is, too, without a word here."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from functools import lru_cache
 from typing import Any

@@ -1,7 +1,5 @@
 """Read several fingertips on one bus on request: each call sends one SYNC and waits for the answers."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Recover a finger that booted, stopped, or lost its node-id; verify one that another master changed; in parallel."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import Counter

@@ -4,8 +4,6 @@ makes what it may change unsure, until an SDO response or a health PDO says what
 object is unsure. An object that is seen otherwise is a change, on which ``foreign_changes`` decides.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Callable, Collection, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Frames and python-can's messages: reception on every interface except SocketCAN, and messages to send and to log."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 
 import can

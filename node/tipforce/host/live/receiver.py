@@ -1,8 +1,6 @@
 """Interface of every live receiver, independent of the bus; and a group of several. SocketCAN's filters select frames:
 the kernel applies them, or numpy on other interfaces."""
 
-from __future__ import annotations
-
 import math
 import select
 import sys

@@ -1,7 +1,5 @@
 """Send frames of every kind that a bus carries: raw SocketCAN, and python-can for every other interface."""
 
-from __future__ import annotations
-
 import errno
 import socket
 import struct

@@ -1,7 +1,5 @@
 """The words `vcan0,181:7FF` and `run.log` of a command line: buses and texts, with the filters of their frames."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ The inverse is ``candump_format``. CAN FD frames are kept separate from classic 
 counted, not raised: drop messages and, by reason, bad lines.
 """
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Format frames as candump text, byte for byte: the screen format and the log format of can-utils 2020.11."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterable, Sequence
 

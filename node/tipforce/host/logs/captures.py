@@ -3,8 +3,6 @@ ros2_socketcan and `tipforce decode` write it). Link types: 227 (SocketCAN: CAN 
 and Linux' cooked captures of the interface "any", 113 and 276, of the protocols 000Ch (CAN) and 000Dh (CAN FD).
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A recording of gauges as the source of a node: calibration data (CSV) with times, or a candump log."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Read every log format that python-can reads (ASC, BLF, TRC, CSV, MF4, SQLite) as blocks of frames."""
 
-from __future__ import annotations
-
 import re
 import sqlite3
 import struct

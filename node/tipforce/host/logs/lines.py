@@ -1,7 +1,5 @@
 """Read a log's text as blocks of whole lines: plain, gzip or zstd, a file that is still growing, or stdin."""
 
-from __future__ import annotations
-
 import os
 import select
 import sys

@@ -1,8 +1,6 @@
 """Packed logs, unpacked with a bound (megabytes can be terabytes): gzip and zstd as streams, the chunks of MCAP and the
 containers of BLF at once. A real log's timestamps differ: gzip saves a factor of 5 to 15, zstd up to 60."""
 
-from __future__ import annotations
-
 import os
 import zlib
 from contextlib import suppress

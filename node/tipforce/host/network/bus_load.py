@@ -1,7 +1,5 @@
 """Bus load: the calculated budget of a hand, and the least and most bits of received frames (ISO 11898-1, 10.5)."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Sequence

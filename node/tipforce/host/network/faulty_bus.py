@@ -5,8 +5,6 @@
 Each fault of a received frame has its probability. Random numbers depend only on the seed and on the frames, never on
 the clock, so that a run can be repeated. ``Injector`` does the same without a bus, at any time."""
 
-from __future__ import annotations
-
 import heapq
 import itertools
 import random

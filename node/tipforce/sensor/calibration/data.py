@@ -1,7 +1,5 @@
 """What goes into a calibration fit: readings under known loads, how they came about, and the checks of both."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

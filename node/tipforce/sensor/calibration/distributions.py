@@ -1,7 +1,5 @@
 """Quantiles of Student's t and Fisher's F, from the incomplete beta function: no scipy is needed for an interval."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import lru_cache
 from math import exp, inf, isinf, lgamma, log, log1p, sqrt

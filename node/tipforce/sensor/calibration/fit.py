@@ -3,8 +3,6 @@
 drift, odd rows and saturated readings are left out, and what the rows cannot show is refused by name.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from math import sqrt

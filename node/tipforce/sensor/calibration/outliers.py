@@ -1,7 +1,5 @@
 """Rows that a fit leaves out: suspects before it, outliers of it, and when it is the model that is wrong."""
 
-from __future__ import annotations
-
 from math import comb
 
 import numpy as np

@@ -3,8 +3,6 @@ off digits that say nothing, so that equal data give equal calibrations on every
 nine are finer than the node's REAL32 (seven) and what a good calibration knows (four).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

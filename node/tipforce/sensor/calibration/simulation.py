@@ -1,7 +1,5 @@
 """The paper's grooves (section 4.1), and simulated calibrations in them: a sensor with faults, and the truth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

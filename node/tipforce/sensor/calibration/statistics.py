@@ -1,7 +1,5 @@
 """From the solved calibration to its result (intervals, residuals by load), further terms, and where it is valid."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tipforce.arrays import BoolArray, FloatArray

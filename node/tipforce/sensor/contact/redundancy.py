@@ -5,8 +5,6 @@ distinguished: exactly if the other n - 2 have no rank 3. So four gauges isolate
 which then responds to no force. A gauge is invisible if the others have no rank 3: its fault looks like a force.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

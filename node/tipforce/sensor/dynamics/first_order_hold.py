@@ -14,8 +14,6 @@ p21 = -s, p22 = 1 - I0 - 2 zeta s; b11 = J / x, b10 = I0 - J / x, b21 = I0 / x, 
 differences of nearly equal numbers would lose digits, another form of the same functions is used: a power series for
 short steps, two decaying exponentials for strong damping."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

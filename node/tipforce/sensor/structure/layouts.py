@@ -1,7 +1,5 @@
 """Gauge layouts: the points of Table 1, the cases of Table 3, their mirrors, and custom sets."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 from tipforce.errors import InputError

@@ -6,8 +6,6 @@ of torsion vanishes there, as the paper states, but an axial strain y z phi'' re
 centre line responds. Neglected: shear deformation, compliance of tip and fixture, stress concentration in corners.
 """
 
-from __future__ import annotations
-
 import itertools
 from math import cos, exp, pi, sin, sqrt, tanh
 from typing import NamedTuple

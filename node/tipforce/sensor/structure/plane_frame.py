@@ -9,8 +9,6 @@ is added to one of another beam 1e14 times smaller, and with diagonal scaling a 
 rounding.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

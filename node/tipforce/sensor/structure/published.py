@@ -1,7 +1,5 @@
 """Numbers printed in the paper, for comparison. This module computes nothing."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 

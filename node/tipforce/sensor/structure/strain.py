@@ -3,8 +3,6 @@ Every matrix multiplies F = P (sin(phi), sin(phi - theta), cos(phi)), equation (
 without load: a gauge of finite length reads that at its middle; one of 1 mm at a corner, 0.5 mm from it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Any, Literal, NamedTuple
 

@@ -1,7 +1,5 @@
 """Decoders of the contact PDO on the same frames: tipforce, a loop with struct, cantools, canopen."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable

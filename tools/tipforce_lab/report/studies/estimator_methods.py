@@ -3,8 +3,6 @@ integers: int64 arrays for a microcontroller's registers, a narrower sum wraps a
 per turn. In MicroPython: its WebAssembly build under Node.js, if both are installed.
 """
 
-from __future__ import annotations
-
 import binascii
 import json
 import shutil

@@ -1,8 +1,6 @@
 """Arithmetic of the estimator: counts to F = C V, then P and theta, in floating point, in integers, on MicroPython. The
 reference: random contacts as counts of a 24-bit converter, and the exact P and theta of these counts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from decimal import Decimal, localcontext
 from functools import partial

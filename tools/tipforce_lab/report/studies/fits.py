@@ -1,7 +1,5 @@
 """Calibration fits against the number of loads: the paper's, the plain affine one, and the product's."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

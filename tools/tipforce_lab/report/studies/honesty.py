@@ -3,8 +3,6 @@ calibrated by `tipforce calibrate fit`, one scene per fault runs the node's code
 row is wrong if its P is off by more than five of its own standard uncertainties.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 import subprocess

@@ -1,7 +1,5 @@
 """Integrators of the structure: error against run time for a smooth load, a step, a tap and a stiff impact."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Structure models side by side: Table 1, the plane frame, and finite elements on uniform and graded meshes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
