@@ -134,17 +134,12 @@ def of_samples(
     temperature = history.temperatures(columns, len(status))
     lost = lost_gauges(columns, microstrain.shape) | judged.at_end(microstrain)
     rows = np.flatnonzero((status & _NO_READING == 0) & np.isfinite(microstrain).all(axis=1))
-    saturated, calibration = status & np.uint16(Status.SATURATED) != 0, estimator.judge.calibration
-    given, still = Readings(microstrain * 1e-6, temperature, lost), history.still
-    stand = frozen_gauges(calibration, given.strain[rows]) if still is None else still.frozen(given.strain[rows])
-    if stand is not None:
-        frozen = np.zeros(len(status), dtype=np.int64)
-        frozen[rows] = stand
-        given = given._replace(frozen=frozen)
-    if t_ns is not None and len(rows) and calibration.tare_drift_strain_per_s > 0.0:
-        history.first_ns = int(t_ns[rows[0]]) if history.first_ns is None else history.first_ns
-        given = given._replace(age_s=np.asarray(t_ns - history.first_ns, dtype=np.float64) * 1e-9)
-    is_few = still is None and given.age_s is None and len(rows) <= FEW
+    saturated = status & np.uint16(Status.SATURATED) != 0
+    ages = t_ns if len(rows) and estimator.judge.calibration.tare_drift_strain_per_s > 0.0 else None
+    is_few = history.still is None and ages is None and len(rows) <= FEW  # too few to stand still
+    given = Readings(microstrain * 1e-6, temperature, lost)
+    if not is_few:
+        given = _with_history(given, estimator.judge.calibration, rows, history, ages)
     while True:
         if is_few:
             degC = np.full(len(status), np.nan) if temperature is None else temperature
@@ -156,6 +151,26 @@ def of_samples(
             history.before = before
             return rows, contacts
         rows = rows[holds]
+
+
+def _with_history(
+    given: Readings,
+    calibration: Calibration,
+    rows: npt.NDArray[np.intp],
+    history: History,
+    ages: npt.NDArray[np.int64] | None,
+) -> Readings:
+    """The readings with the gauges that stand still in ``rows``, and with the age of the tare at the times ``ages``."""
+    strain = given.strain[rows]
+    stand = frozen_gauges(calibration, strain) if history.still is None else history.still.frozen(strain)
+    if stand is not None:
+        frozen = np.zeros(len(given.strain), dtype=np.int64)
+        frozen[rows] = stand
+        given = given._replace(frozen=frozen)
+    if ages is not None:
+        history.first_ns = int(ages[rows[0]]) if history.first_ns is None else history.first_ns
+        given = given._replace(age_s=np.asarray(ages - history.first_ns, dtype=np.float64) * 1e-9)
+    return given
 
 
 def signals_needed(
