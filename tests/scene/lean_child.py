@@ -1,5 +1,7 @@
 """Run one scene in a Python of its own and tell, as JSON, what was loaded, made, computed and sent."""
 
+from __future__ import annotations
+
 import json
 import sys
 from pathlib import Path

@@ -1,6 +1,10 @@
-"""Gauge layouts by name or file: I, II, III (their mirrors I', II', III'), or a TOML file. It lists three to eight
-gauges, SG1 first: points of Table 1, gauges at any position, or both; and the body's dimensions if they are not the
-paper's::
+"""Gauge layouts by name or file: I, II, III (their mirrors I', II', III'), or a TOML file.
+
+The file lists the gauges, SG1 first, and the dimensions of the body if they differ from the paper's::
+
+    points = ["K_H", "S_H", "U"]        # points of Table 1
+
+or gauges at any position along the beams, or both::
 
     points = [
         { beam = "H", side = "left", position_mm = 1.08 },
@@ -9,15 +13,34 @@ paper's::
     ]
     gauge_length_mm = 1.0
 
-[geometry] has a_m, d_m, r_m, h1_m, h2_m, width_m and youngs_modulus_pascals, all seven, in metres and Pa. beam: "H",
-the horizontal one, or "V", the vertical one. side: on H the arm at negative ("left") or positive x ("right"), on V the
-face there. position_mm: the middle of the gauge, counted along the beam from the joint: on H from the middle of the
-body up to a, on V from the lower side of the horizontal beam up to d. face: on H "lower" (towards the fixture, the
-default) or "upper" (in the slit). gauge_length_mm documents the gauge of the design; it changes no number, because
-strain is linear along a beam. A [bridge] table (``BridgeTable``, docs/hardware.md) states the wiring to a real
-converter, for `tipforce node --source iio:...` alone. The scaling 6120h to 6123h follows from it and from the
-converter's scale: (raw + offset) * scale is the voltage at the converter in millivolts (Linux, sysfs-bus-iio), gauge
-factor * arms * excitation volts (``front_end.Bridge``) * gain per unit strain, on top of the voltage at no strain."""
+    [geometry]
+    a_m = 0.015
+    d_m = 0.015
+    r_m = 0.015
+    h1_m = 0.0004
+    h2_m = 0.000653
+    width_m = 0.01
+    youngs_modulus_pascals = 205e9
+
+points: three to eight. beam: "H", the horizontal one, or "V", the vertical one. side: on H the arm at negative
+("left") or positive x ("right"), on V the face there. position_mm: the middle of the gauge, counted along the beam
+from the joint: on H from the middle of the body up to a, on V from the lower side of the horizontal beam up to d.
+face: on H "lower" (towards the fixture, the default) or "upper" (in the slit). gauge_length_mm documents the gauge
+of the design; it changes no number, because strain is linear along a beam. [geometry] needs all seven keys, in
+metres and Pa. A [bridge] table states the wiring of the gauges to a real converter (``BridgeTable``); only
+`tipforce node --source iio:...` reads it::
+
+    [bridge]
+    kind = "full"            # or "quarter", "half"
+    gauge_factor = 2.1
+    excitation_volts = 3.3
+    gain = 100.0             # of an amplifier before the converter; a list: one per gauge
+    zero_volts = 1.65        # at the converter with no strain
+
+The scaling 6120h to 6123h is computed from it and the converter's scale: (raw + offset) * scale is the voltage at the
+converter in millivolts (Linux, sysfs-bus-iio). The bridge gives gauge factor * arms * excitation volts per unit strain
+(``front_end.Bridge``), times the gain of an amplifier, on top of the voltage at no strain.
+"""
 
 import math
 from collections.abc import Sequence

@@ -3,6 +3,8 @@
 Arguments: the command of the hand. Prints one JSON record of the messages by topic.
 """
 
+from __future__ import annotations
+
 import json
 import subprocess
 import sys
