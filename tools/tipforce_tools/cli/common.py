@@ -15,10 +15,11 @@ from contextlib import contextmanager
 from functools import partial
 from itertools import repeat
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TextIO, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 from canopen_device.visible_text import visible_lines
 from tipforce.errors import InputError
+from tipforce_tools.cli.output import terminal, visible_streams
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -60,45 +61,6 @@ class Output:
 
 
 OUTPUT = Output()
-
-
-class VisibleStream:
-    """A text stream that shows control characters as escapes; every text of a command passes here. Data in bytes (CSV,
-    Parquet) goes to its ``buffer`` as it is, and colours to the stream below, whose all else is."""
-
-    def __init__(self, below: TextIO) -> None:
-        self.below = below
-
-    def write(self, text: str) -> int:
-        """Write, and return the number of characters of ``text``."""
-        self.below.write(visible_lines(text))
-        return len(text)
-
-    def writelines(self, lines: Iterable[str]) -> None:
-        """Write each line."""
-        for line in lines:
-            self.write(line)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.below, name)
-
-
-@contextmanager
-def visible_streams() -> Iterator[None]:
-    """Escape what the block writes to stdout and stderr."""
-    before = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (cast("TextIO", VisibleStream(stream)) for stream in before)
-    try:
-        yield
-    finally:
-        sys.stdout, sys.stderr = before
-
-
-def terminal(stream: TextIO) -> TextIO:
-    """Return the stream below, for the control sequences of a command's own: colours, a progress bar."""
-    while isinstance(stream, VisibleStream):
-        stream = stream.below
-    return stream
 
 
 def number(text: str, read: Callable[[str], Any] = float) -> Any:

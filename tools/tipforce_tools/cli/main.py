@@ -19,7 +19,7 @@ from tipforce.errors import (
     TipforceError,
     WriteError,
 )
-from tipforce_tools.cli import common
+from tipforce_tools.cli.output import visible_streams
 
 if TYPE_CHECKING:
     from tipforce_tools.cli.actions import Actions, CommandParser
@@ -123,7 +123,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if getattr(sys, name) is None:
             number = os.open(os.devnull, os.O_RDONLY if mode == "r" else os.O_WRONLY)
             setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115
-    with common.visible_streams():
+    with visible_streams():
         try:
             code = _answer(words)
             sys.stdout.flush()
@@ -178,6 +178,7 @@ def _run(name: str, words: list[str]) -> int:
         near = difflib.get_close_matches(name, [*COMMANDS, *TOP_FLAGS], 3, cutoff=0.7)
         hint = f"did you mean {' or '.join(near)}?" if near else f"commands: {', '.join(COMMANDS)}"
         return _failed(f"{name!r} is not a command; {hint}", 2)
+    from tipforce_tools.cli import common
     from tipforce_tools.cli.actions import check_files, functions, parser_of
 
     place, parser = COMMANDS[name][0], command_parser(name)

@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 from tipforce.dictionary import table
 from tipforce.errors import DuplicateNodeError, InputError, NoResponseError
-from tipforce.host.network.lss import LssAddress, LssMaster
-from tipforce.samples.reasons import NOT_CALIBRATED
 from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.actions import add_choice
 
 if TYPE_CHECKING:
     from tipforce.host.network.firmware import NodeProgram
+    from tipforce.host.network.lss import LssAddress, LssMaster
 
 _CONTACT = (
     "node_id", "t_s", "counter", "P_newtons", "phi_deg", "theta_deg", "u_P_newtons", "u_phi_deg", "u_theta_deg",
@@ -100,6 +99,7 @@ def add_read_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_read(args: argparse.Namespace) -> int:
     """Print ``count`` new samples of each finger: 0. Raises NoResponseError for a finger that gives none in time."""
+    from tipforce.samples.reasons import NOT_CALIBRATED
     from tipforce.watching.findings import not_calibrated
 
     bare: set[int] = set()
@@ -224,6 +224,8 @@ def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_lss(args: argparse.Namespace) -> int:
     """Run the action; return 0, or 5 if no node responded. Raises RefusedError if a node refuses."""
+    from tipforce.host.network.lss import LssAddress, LssMaster
+
     if args.action == "assign" and not args.ids:
         raise InputError("lss assign: IDS missing; for example tipforce lss assign 1-5 --store")
     if args.action == "assign" and args.serial is not None and len(args.ids) != 1:
