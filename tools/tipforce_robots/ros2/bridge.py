@@ -2,9 +2,9 @@
 from a feed, diagnostics once a second and at each event; and the file of a hand for ros2_canopen (bus.yml), with the
 EDS files in the dialect of Lely's dcfgen.
 
-The frame ``<finger>_tip`` has its origin at the centre of the tip: x is the direction of F3 and y of F1 (docs/
-mechanics.md), z is normal to the plane of the beams, right-handed. So the force is P (cos phi, sin phi, 0), and the
-torque about the origin r P sin(phi - theta) = r F2, around z.
+The frame ``<finger>_tip`` has its origin at the centre of the tip: x is the direction of F3 and y of F1
+(docs/mechanics.md), z is normal to the plane of the beams, right-handed. So the force is P (cos phi, sin phi, 0), and
+the torque about the origin r P sin(phi - theta) = r F2, around z.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ class Picture(msgspec.Struct, omit_defaults=True, rename={"states": "fingers"}):
 
 
 class Model:
-    """Thread-safe.
+    """The rows of a recording or a bus, for any number of pages; thread-safe.
 
     ``live`` is False for a log, which has a beginning and an end. Rows are in the order of time: beyond ``capacity``
     (0: what fits into MAX_BYTES) the oldest are dropped, and a time that steps backwards (a set clock) continues from
