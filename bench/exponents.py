@@ -33,7 +33,7 @@ CONTACT = bytes.fromhex("84032823401f03")  # 0.9 N, 90 and 80 degrees, status; t
 def frames(folder: Path, count: int) -> Callable[[], float]:
     """Return the processor time of the summary of a log."""
     log = folder / f"{count}.log"
-    write_log(log, hand_traffic(count, 5, True, 1))
+    write_log(log, hand_traffic(count, 5, 1))
     return lambda: command_s([*TIPFORCE, "decode", "--summary", "-q", "-o", "-", log], stdout=-3)[0]
 
 

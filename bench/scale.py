@@ -37,7 +37,7 @@ _COLUMN = Column("P_N", "P", "real", 3, "N", 0)
 
 def long_log(path: Path, frames: int) -> None:
     """Five fingers at 500 Hz, a million frames at a time."""
-    traffic = hand_traffic(_CHUNK, 5, True, 1)
+    traffic = hand_traffic(_CHUNK, 5, 1)
     step_ns = int(traffic["t_ns"][-1] - traffic["t_ns"][0]) + 2_000_000
     with path.open("wb") as out:
         for _ in range(frames // _CHUNK):
