@@ -16,7 +16,7 @@ from typing import Any
 import can
 import canopen
 import numpy as np
-from bench.measure import ROOT, Meter
+from bench.measure import ROOT
 from can.interfaces.socketcan.socketcan import SocketcanBus
 
 from canopen_device.can_frame import CAN_FRAME
@@ -244,7 +244,6 @@ class LoopbackLink(Link):
         self._receiver_address = receiver.getsockname()
         addresses = self._receiver_address, services.getsockname()
         self._fingers, pipe = _child(run_fingers, count, *addresses, realtime)
-        self._meter = Meter(self._fingers.pid)
         if not pipe.poll(30.0):
             raise RuntimeError("the fingers' process did not start")
         self._fingers_address: Address = pipe.recv()
@@ -254,7 +253,6 @@ class LoopbackLink(Link):
         bus._periodic_tasks, bus._bcm_sockets = [], {}
         self.connection = Bus(bus)
         self.connection.buffer.limit = KEPT_FRAMES
-        self.fingers_cpu_s = 0.0
 
     def receive(self, timeout_s: float) -> FrameArray:
         return self._receiver.receive(timeout_s)
@@ -276,7 +274,6 @@ class LoopbackLink(Link):
 
     def close(self) -> None:
         """See Link; ends the fingers, too."""
-        self.fingers_cpu_s = self._meter.cpu_s
         _end(self._fingers, 0.0)
         self.connection.close()
         self._receiver.close()
