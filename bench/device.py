@@ -295,19 +295,18 @@ def latencies(nodes: int, syncs: int, period_s: float) -> dict[str, list[tuple[l
 
 
 def report_latency(nodes: int, syncs: int = SYNCS) -> list[str]:
-    """Median, p99, max, processor time of each loop; ours over it: medians of the turns and their range, totals."""
+    """Median and processor time of each loop; ours over it: medians of the turns and their range, totals."""
     turns = latencies(nodes, syncs, 0.002)
     lines = [f"SYNC to last TPDO, {nodes} nodes with TPDO1+TPDO2, {syncs} SYNCs each, microseconds"]
     own = turns[LOOPS[0][0]]
     for what, of_loop in turns.items():
-        values = sorted(itertools.chain(*[values for values, _ in of_loop]))
-        p99, cpu_us = values[min(len(values) - 1, int(0.99 * len(values)))], sum(us for _, us in of_loop)
+        median, cpu_us = statistics.median(us for values, _ in of_loop for us in values), sum(us for _, us in of_loop)
         pairs = zip(own, of_loop, strict=True)
         ratios = [statistics.median(ours) / statistics.median(other) for (ours, _), (other, _) in pairs]
+        middle, share = statistics.median(ratios), sum(us for _, us in own) / cpu_us
         lines.append(
-            f"  {what:<36}median {statistics.median(values):6.0f}  p99 {p99:6.0f}  max {values[-1]:7.0f}  "
-            f"processor {cpu_us / ROUNDS:6.0f}; ours / this {statistics.median(ratios):5.2f} "
-            f"({min(ratios):.2f}-{max(ratios):.2f}), processor {sum(us for _, us in own) / cpu_us:5.2f}"
+            f"  {what:<36}median {median:6.0f}  processor {cpu_us / ROUNDS:6.0f}; "
+            f"ours / this {middle:5.2f} ({min(ratios):.2f}-{max(ratios):.2f}), processor {share:5.2f}"
         )
     return lines
 

@@ -34,8 +34,7 @@ from tipforce_tools.page.server import ViewServer
 from tipforce_tools.page.sources import LiveSource, Source
 
 FINGERS, SYNC_HZ, SECONDS = 15, 400, 10.0
-HEADER = ["browsers", "pictures/s", "messages/s", "longest drawing ms", "frames dropped", "lost rows", "missing",
-          "CPU share"]  # fmt: skip
+HEADER = ["browsers", "pictures/s", "frames dropped", "lost rows", "CPU share"]
 FIGURES = ROOT / "docs" / "figures"
 _FRAME = struct.Struct("=IB3x8s")
 _SETTLE_S = 3.0
@@ -54,13 +53,13 @@ def main() -> None:
         else:
             print(machine())
             print(f"{FINGERS} fingers, {SYNC_HZ} Hz, {(2 * FINGERS + 1) * SYNC_HZ} frames/s, {SECONDS:g} s each")
-            runs = (("none", False, 0), ("one", True, 0), ("one, and two that do not read", True, 2))
-            print(table(HEADER, [[name, *one_run(browser, looking, idle)] for name, looking, idle in runs]))
+            runs = (("one", 0), ("one, and two that do not read", 2))
+            print(table(HEADER, [[name, *one_run(browser, idle)] for name, idle in runs]))
         browser.close()
 
 
-def one_run(browser: Browser, looking: bool, idle: int) -> list[str]:
-    """The cells of one line."""
+def one_run(browser: Browser, idle: int) -> list[str]:
+    """The cells of one line, beside so many browsers that do not read."""
     calibration = beam_calibration(pull=False)
     bus = bound_receiver()
     feed = FrameFeed(
@@ -70,42 +69,25 @@ def one_run(browser: Browser, looking: bool, idle: int) -> list[str]:
     source = LiveSource(feed, "bench")
     server = ViewServer(source, Guard(), ("127.0.0.1",))
     server.start()
-    page: Page | None = None
     sent_s = SECONDS + 2 * _SETTLE_S + 4.0
     with sending(bus, SYNC_HZ, sent_s, sync_frames, wait_s=0.0), contextlib.ExitStack() as stack:
         time.sleep(_SETTLE_S)
         for _ in range(idle):
             stack.enter_context(silent_reader(server.guard.port))
-        if looking:
-            page = browser.new_page(viewport={"width": 1280, "height": 900})
-            page.goto(server.url)
-            page.wait_for_function("() => window.tipforce.drawn > 10")
-            page.evaluate("window.tipforce.longest = 0")
-        before = counts(page)
-        meter = Meter()
-        missing = sum(source.model.counters.missing)
-        time.sleep(SECONDS) if page is None else page.wait_for_timeout(1000 * SECONDS)
-        elapsed_s, share, after = meter.elapsed_s, meter.share, counts(page)
-        missing = sum(source.model.counters.missing) - missing
-        if page is not None:
-            page.close()
+        page = browser.new_page(viewport={"width": 1280, "height": 900})
+        page.goto(server.url)
+        page.wait_for_function("() => window.tipforce.drawn > 10")
+        before, meter = page.evaluate("window.tipforce.drawn"), Meter()
+        page.wait_for_timeout(1000 * SECONDS)
+        elapsed_s, share, after = meter.elapsed_s, meter.share, page.evaluate("window.tipforce.drawn")
+        page.close()
     time.sleep(0.5)  # what has come is taken in
     whole = source.model.counters.rows
     lost = feed.frames // (2 * FINGERS + 1) - whole
     server.close()
     dropped = source.model.counters.dropped
     source.close()
-    rates = [f"{(b - a) / elapsed_s:.1f}" if looking else "" for a, b in zip(before[:2], after[:2], strict=True)]
-    longest = f"{after[2]:.0f}" if looking else ""
-    return [*rates, longest, str(dropped), f"{lost} of {whole}", str(missing), f"{share:.2f}"]
-
-
-def counts(page: Page | None) -> list[float]:
-    """Pictures drawn, messages received, longest drawing in ms."""
-    if page is None:
-        return [0.0, 0.0, 0.0]
-    figures: list[float] = page.evaluate("[window.tipforce.drawn, window.tipforce.messages, window.tipforce.longest]")
-    return figures
+    return [f"{(after - before) / elapsed_s:.1f}", str(dropped), f"{lost} of {whole}", f"{share:.2f}"]
 
 
 @contextlib.contextmanager
