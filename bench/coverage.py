@@ -40,16 +40,11 @@ class Cell:
     layout: str
     snr: int
     delta_deg: int
-    percents: tuple[float, float, float]
-    """Intervals of P, phi, theta that hold the truth."""
-    holds: tuple[bool, bool, bool]
-    """first_order_holds() at the true load, for P, phi, theta."""
-    flagged_percent: float
-    """Readings whose own first_order_holds() is false for theta."""
-    status_percent: float
-    """Readings with bit 4 (theta unresolved) or 5 (misses the tip)."""
-    silent_percent: float
-    """Readings whose interval of theta misses the truth, with no flag."""
+    percents: tuple[float, float, float]  # intervals of P, phi, theta that hold the truth
+    holds: tuple[bool, bool, bool]  # first_order_holds() at the true load, for P, phi, theta
+    flagged_percent: float  # readings whose own first_order_holds() is false for theta
+    status_percent: float  # readings with bit 4 (theta unresolved) or 5 (misses the tip)
+    silent_percent: float  # readings whose interval of theta misses the truth, with no flag
 
     @property
     def flags(self) -> str:
@@ -250,14 +245,6 @@ def by_snr(cells: list[Cell], shown: Callable[[list[Cell]], str]) -> str:
     ])  # fmt: skip
 
 
-_ONE = {
-    "grooves_to_deg": "grooves to", "sense": "reading", "P_percent_with": "P with 1", "P_percent_without": "P without",
-    "theta_percent_with": "theta with 1", "theta_percent_without": "theta without", "leverage_ratio": "ratio: mean",
-    "leverage_ratio_max": "max",
-}  # fmt: skip
-"""The columns of the table of the 1 in G."""
-
-
 def report(cells: list[Cell], one: list[dict[str, float | str]], trials: int) -> str:
     parts = []
     for scenario in dict.fromkeys(c.scenario for c in cells):
@@ -265,12 +252,12 @@ def report(cells: list[Cell], one: list[dict[str, float | str]], trials: int) ->
         of = "" if scenario == ISOTROPIC else f", the worst of cases {', '.join(dict.fromkeys(c.layout for c in here))}"
         parts += [f"### {scenario[0].upper()}{scenario[1:]}{of}", by_snr(here, covered)]
     isotropic = [c for c in cells if c.scenario == ISOTROPIC]
-    ones = [[f"{r['grooves_to_deg']:.0f}", str(r["sense"]), *(f"{r[key]:.1f}" for key in [*_ONE][2:])] for r in one]
+    ones = [[f"{value:.1f}" if isinstance(value, float) else value for value in row.values()] for row in one]
     silent = max(c.silent_percent for c in cells)
     parts += [
         "### Flags: readings' own criterion / status bit 4 or 5 / silent misses of theta, % (isotropic)",
         by_snr(isotropic, lambda cells: cells[0].flags),
-        "### The 1 in G: case I, SNR 100, delta 30", table(list(_ONE.values()), ones),
+        "### The 1 in G: case I, SNR 100, delta 30", table([*one[0]], ones),
         f"{len(cells)} cells of {trials} trials. Largest share of readings in any cell whose interval of theta misses "
         f"the truth without a flag: {silent:.1f} %.",
     ]  # fmt: skip

@@ -13,17 +13,16 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cantools
 import numpy as np
-import numpy.typing as npt
 from bench.decode_methods import DBC
 from bench.measure import ROOT, TIPFORCE, arguments, command_s, in_turns, machine, peak_mb, table, write_page
 
 from tipforce.host.decoding.decoder import Decoder
-from tipforce.host.decoding.sample_table import Values
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.recorder import CandumpWriter
@@ -54,8 +53,7 @@ processor's, of the work alone, without start-up; slow methods get the first 200
 `bench/decode_floor.c`, the same work in one pass of C. Memory: candump text to columns in memory. asammdf decodes an
 MF4, without text to parse. LogReader: python-can's reader alone. cantools loop: cantools on each line. cantools decode:
 the command, less its start-up. tipforce decode: the command with all its processes."""
-Runs = dict[str, list[dict[str, float]]]
-"""By method: what each of its runs measured."""
+Runs = dict[str, list[dict[str, float]]]  # by method: what each of its runs measured
 
 
 def hand_traffic(count: int, nodes: int, seed: int) -> FrameArray:
@@ -118,20 +116,13 @@ def different_values(count: int) -> tuple[int, int]:
             if set(decoded[0]) != set(samples.columns):
                 raise SystemExit(f"{name}: signals {sorted(samples.columns)}, cantools has {sorted(decoded[0])}")
             for signal in samples.message.signals:
-                theirs = _column([values[signal.name] for values in decoded], signal.scale)
+                digits = max(-math.floor(math.log10(signal.scale)), 0)
+                values = [value[signal.name] for value in decoded]
+                theirs = [math.nan if str(value) == "unknown" else round(float(value), digits) for value in values]
+                ours = samples.columns[signal.name].astype(np.float64)
                 compared += len(theirs)
-                different += _differ(samples.columns[signal.name], theirs)
+                different += np.count_nonzero(~np.isclose(ours, theirs, rtol=0.0, atol=0.0, equal_nan=True))
     return compared, different
-
-
-def _column(values: list[Any], scale: float) -> npt.NDArray[np.float64]:
-    digits = max(-math.floor(math.log10(scale)), 0)
-    return np.array([math.nan if str(value) == "unknown" else round(float(value), digits) for value in values])
-
-
-def _differ(ours: Values, theirs: npt.NDArray[np.float64]) -> int:
-    equal = (ours == theirs) | (np.isnan(ours.astype(np.float64)) & np.isnan(theirs))
-    return int(np.count_nonzero(~equal))
 
 
 class Logs:
@@ -211,13 +202,7 @@ def make_asammdf_environment() -> None:
 
 def measure(logs: Logs, methods: Sequence[str]) -> Runs:
     """All methods on one log, in turns."""
-    runs: Runs = {method: [] for method in methods}
-
-    def way(method: str) -> float:
-        runs[method].append(logs.run(method))
-        return runs[method][-1]["us"]
-
-    in_turns({method: lambda method=method: way(method) for method in methods}, ROUNDS)  # type: ignore[misc]
+    runs = in_turns({method: partial(logs.run, method) for method in methods}, ROUNDS)
     _check_sums({method: results[0] for method, results in runs.items()})
     return runs
 

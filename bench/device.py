@@ -58,7 +58,11 @@ def calibrated_node(node_id: int, operational: bool = True) -> Device:
     """A simulated fingertip with a calibration in force and a contact of 1 N, noise on its gauges."""
     source = SimulatedSource(STRAIN_PER_NEWTON, 0.2, seed=node_id)
     source.load = (1.0, 20.0, 10.0)
-    device = fingertip_node(node_id, source, 3, node_id, load=_stored(good_record(Random(1))).get, eds=EDS)
+    record = good_record(Random(1))
+    return _booted(fingertip_node(node_id, source, 3, node_id, load=_stored(record).get, eds=EDS), operational)
+
+
+def _booted(device: Device, operational: bool) -> Device:
     device.step(0)
     if operational:
         device.step(2, [(0x000, b"\x01\x00")])
@@ -76,10 +80,7 @@ def judged_node(n: int) -> Device:
     )  # fmt: skip
     source = SimulatedSource(strain_matrix(FABRICATED, points).tolist(), 0.2, seed=n)
     source.load = (1.0, 100.0, 90.0)
-    device = fingertip_node(5, source, n, 5, load=_stored(calibration.record()).get)
-    device.step(0)
-    device.step(2, [(0x000, b"\x01\x00")])
-    return device
+    return _booted(fingertip_node(5, source, n, 5, load=_stored(calibration.record()).get), True)
 
 
 def steps(devices: list[Device], frames: list[tuple[int, bytes]], count: int, period_us: int) -> Callable[[], int]:

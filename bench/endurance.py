@@ -34,17 +34,14 @@ _STORE = b"\x23\x10\x10\x01save"
 class Hour(NamedTuple):
     """What was found after an hour."""
 
-    blocks: int
-    """Memory blocks that Python holds."""
+    blocks: int  # memory blocks that Python holds
     resident_kb: int
     syncs: int
     heartbeats: int
-    samples: int
-    """Counter steps that the PDOs showed, wraps added up."""
+    samples: int  # counter steps that the PDOs showed, wraps added up
     emcys: int
     log_lines: int
-    late_us: int
-    """The largest difference between a PDO and its SYNC, of a heartbeat and its second."""
+    late_us: int  # the largest difference between a PDO and its SYNC, of a heartbeat and its second
 
 
 class Gauge(PolledDevice):

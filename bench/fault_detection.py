@@ -49,12 +49,9 @@ class Rate:
     size: float
     gauge: str
     detected: float
-    isolated: float
-    """The right gauge named, alone."""
-    wrong: float
-    """Another gauge named, alone."""
-    among: float
-    """The right gauge among those that cannot be told apart, of the detected ones."""
+    isolated: float  # the right gauge named, alone
+    wrong: float  # another gauge named, alone
+    among: float  # the right gauge among those that cannot be told apart, of the detected ones
 
 
 def pushes(rng: np.random.Generator, count: int, P_newtons: float) -> FloatArray:

@@ -47,10 +47,8 @@ class Level(NamedTuple):
     unknowns: int
     seconds: float
     conditions: list[float]
-    matrix: FloatArray
-    """(5, 3): rows GAUGES."""
-    point_strain: float
-    """Strain per newton of F2 at S itself, from the side of the mesh that ends there."""
+    matrix: FloatArray  # (5, 3): rows GAUGES
+    point_strain: float  # strain per newton of F2 at S itself, from the side of the mesh that ends there
 
 
 class Convergence(NamedTuple):
@@ -130,8 +128,7 @@ def conditions_at(solution: Solution, moved: dict[str, GaugePosition] | None = N
     return conditions(strain_matrix(solution, [places[point] for point in GAUGES]))
 
 
-Variants = dict[str, list[float]]
-"""The condition numbers of cases I, II, III by body or placing of gauges."""
+Variants = dict[str, list[float]]  # the condition numbers of cases I, II, III by body or placing of gauges
 
 
 def outline_variants(cells: int) -> Variants:
@@ -232,8 +229,7 @@ def one_body(cells: int) -> tuple[float, float, list[float]]:
 class Miss(NamedTuple):
     """The best that places alone can do for the measured column."""
 
-    places_mm: tuple[float, ...]
-    """L, R, K, S from the middle of the joint, U from its underside."""
+    places_mm: tuple[float, ...]  # L, R, K, S from the middle of the joint, U from its underside
     conditions: list[float]
     worst: float
 

@@ -61,10 +61,8 @@ class Target(Protocol):
 
     device: Device
     now_us: int
-    due_us: int
-    """When it asked to be stepped."""
-    sdo_answers: int
-    """In its last step."""
+    due_us: int  # when it asked to be stepped
+    sdo_answers: int  # in its last step
 
 
 class Frames:

@@ -64,8 +64,7 @@ def brought_up(
 class Outcome(NamedTuple):
     """One run: values, and milliseconds from SYNC to row in the consumer's hands; its events, but those of a start."""
 
-    row: list[str]
-    """By HEADER."""
+    row: list[str]  # by HEADER
     statistics: Statistics
     latency_ms: tuple[float, float, float]
     events: tuple[str, ...]

@@ -108,8 +108,7 @@ class Load(NamedTuple):
     dropped: int
     number: IntArray
     stamp_ns: IntArray
-    lag_ms: FloatArray
-    """From the kernel's stamp to the decoded values."""
+    lag_ms: FloatArray  # from the kernel's stamp to the decoded values
     cpu_share: float
 
     @property

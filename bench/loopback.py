@@ -70,8 +70,7 @@ def running_numbers(frames: np.ndarray[Any, np.dtype[np.void]]) -> np.ndarray[An
     return np.ascontiguousarray(frames["data"][:, :4]).view(np.uint32)[:, 0]
 
 
-FramesOf = Callable[[int, int], list[bytes]]
-"""The frames from one number up to another."""
+FramesOf = Callable[[int, int], list[bytes]]  # the frames from one number up to another
 
 
 def send_at_rate(address: tuple[str, int], frames_of: FramesOf, rate_hz: int, seconds: float) -> None:

@@ -172,17 +172,6 @@ def in_processes(task: Callable[[int], Result], seeds: Iterable[int], jobs: int)
         return list(pool.map(task, seeds, chunksize=8))
 
 
-def new_svg_figure(width_inch: float, height_inch: float) -> Any:
-    """(figure, axes) of matplotlib for a reproducible SVG; save it with save_figure()."""
-    import matplotlib as mpl
-
-    mpl.use("svg")
-    import matplotlib.pyplot as plt
-
-    mpl.rcParams["svg.hashsalt"] = "tipforce"
-    return plt.subplots(figsize=(width_inch, height_inch), layout="constrained")
-
-
 def write_page(name: str, text: str) -> None:
     """Write build/bench/NAME.md and print it. docs/performance.md has the figures that a reader needs."""
     (ROOT / "build" / "bench").mkdir(parents=True, exist_ok=True)

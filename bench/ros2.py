@@ -21,12 +21,14 @@ import time
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 from bench.decode import write_log
 from bench.hand import CALIBRATION, brought_up
 from bench.loopback import LoopbackLink
-from bench.measure import Meter, arguments, new_svg_figure
+from bench.measure import Meter, arguments
+from matplotlib.figure import Figure
 from mcap.reader import make_reader
 
 from canopen_device.core.codes import SYNC_COB_ID
@@ -199,7 +201,9 @@ def draw(figures: Path) -> None:
         with log.with_suffix(".mcap").open("rb") as stream:
             messages = make_reader(stream).iter_messages(topics=["/tipforce/scene"])
             scenes = [json.loads(message.data)["entities"] for _, _, message in messages]
-    figure, axes = new_svg_figure(9, 3.2)
+    mpl.rcParams["svg.hashsalt"] = "tipforce"  # the same bytes each time
+    figure = Figure(figsize=(9, 3.2), layout="constrained")
+    axes = figure.subplots()
     for n, rows in read_rows.items():
         axes.plot((rows["t_ns"] % 10**11) / 1e9, np.hypot(rows["x"], rows["y"]), label=f"/tipforce/finger_{n}/wrench")
     axes.set(xlabel="stamp, s", ylabel="force, N")
@@ -208,7 +212,8 @@ def draw(figures: Path) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     save_figure(figure, figures / "ros2-received.svg")
     scene = max(scenes, key=lambda entities: sum(a["shaft_length"] for entity in entities for a in entity["arrows"]))
-    figure, axes = new_svg_figure(9, 2.6)
+    figure = Figure(figsize=(9, 2.6), layout="constrained")
+    axes = figure.subplots()
     for entity in scene:
         for line in entity["lines"]:
             at, points = line["pose"]["position"], line["points"]

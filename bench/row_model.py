@@ -21,8 +21,7 @@ from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.hand.rows import Collector
 
 FINGERS = 3
-LATEST = 119
-"""SYNCs: no answer is later."""
+LATEST = 119  # SYNCs: no answer is later
 _CONTACT = 0x280
 _PERIOD_NS = 1_000_000
 _STRANGE = 30_000  # mN, and above: values of somebody else

@@ -52,15 +52,13 @@ def workers(log: Path, rounds: int) -> str:
     """One and two workers in turn."""
     rows = []
     for name in ("run.csv", "run.parquet", "data/"):
-        output = f"{log.parent}/{name}"
-        runs: dict[int, list[tuple[float, float]]] = {1: [], 2: []}
 
-        def way(jobs: int, output: str = output, runs: dict[int, list[tuple[float, float]]] = runs) -> float:
-            runs[jobs].append(command_s([*TIPFORCE, "decode", "-q", log, "-o", output, "-j", jobs]))
+        def way(jobs: int, output: str = f"{log.parent}/{name}") -> tuple[float, float]:
+            times = command_s([*TIPFORCE, "decode", "-q", log, "-o", output, "-j", jobs])
             shutil.rmtree(output) if output.endswith("/") else Path(output).unlink()
-            return runs[jobs][-1][0]
+            return times
 
-        in_turns({str(jobs): partial(way, jobs) for jobs in runs}, rounds)
+        runs = in_turns({str(jobs): partial(way, jobs) for jobs in (1, 2)}, rounds)
         (cpu1, wall1), (cpu2, wall2) = (map(statistics.median, zip(*times, strict=True)) for times in runs.values())
         rows.append([name, f"{cpu1:.2f}", f"{cpu2:.2f}", f"{cpu2 / cpu1:.2f}", f"{wall1 / wall2:.2f}"])
     header = ["output", "1 worker, CPU s", "2 workers, CPU s", "CPU of 2 / CPU of 1", "by the clock: 1 / 2"]

@@ -101,12 +101,10 @@ class Outcome:
     """What a soak saw."""
 
     rows: int = 0
-    checked: int = 0
-    """Values compared with what the finger sent for that very SYNC."""
+    checked: int = 0  # values compared with what the finger sent for that very SYNC
     breaks: list[str] = field(default_factory=list)
     counts: Counter[str] = field(default_factory=Counter)
-    resident_bytes: list[int] = field(default_factory=list)
-    """Resident memory after each tenth of the time."""
+    resident_bytes: list[int] = field(default_factory=list)  # resident memory after each tenth of the time
 
 
 class Soak:
