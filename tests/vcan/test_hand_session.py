@@ -255,18 +255,6 @@ def test_babbler(session: Session, can_id: int) -> None:
     assert told()[0] == "babbling"
 
 
-def test_change_by_another_master_is_noticed_and_undone(session: Session, launch: Launch) -> None:
-    """Its values are checked as in every test: not one in a row is of what they meant meanwhile."""
-    changed_ns = time.time_ns()
-    command = launch("sdo", "write", "3", "process_offset:2", "50", "-i", "socketcan", "-c", CHANNEL)
-    assert command.wait() == 0, command.stderr
-    seen: list[tuple[str, int]] = []
-    wait_until(lambda: ("restored", 3) in seen, f"undone: {seen}", lambda: seen.extend(session.kinds()))
-    assert session.syncs_until("restored", 3, changed_ns) > 0
-    session.recovered("offset")
-    assert of_others(seen, 3) == []
-
-
 def test_finger_that_leaves_operational_is_started_again(session: Session) -> None:
     off_ns = time.time_ns()
     with RawBus(CHANNEL) as bus:
