@@ -121,7 +121,7 @@ def different_values(count: int) -> tuple[int, int]:
                 theirs = [math.nan if str(value) == "unknown" else round(float(value), digits) for value in values]
                 ours = samples.columns[signal.name].astype(np.float64)
                 compared += len(theirs)
-                different += np.count_nonzero(~np.isclose(ours, theirs, rtol=0.0, atol=0.0, equal_nan=True))
+                different += int(np.count_nonzero(~np.isclose(ours, theirs, rtol=0.0, atol=0.0, equal_nan=True)))
     return compared, different
 
 
