@@ -56,21 +56,20 @@ def holding() -> tuple[mujoco.MjModel, mujoco.MjData, Fingertips]:
 def costs() -> str:
     """Return the table of the cost: the smallest of the rounds, which is what the code costs."""
     model, data, tips = holding()
-    jobs: list[tuple[str, str, Callable[[], object], int]] = []
-    for each, steps in (("step (2 kHz)", 1), ("SYNC of 500 Hz", 4), ("SYNC of 100 Hz", 20)):
-        for what, run in (
-            ("load and strain", lambda: [load.microstrain for load in tips.loads(data).values()]),
-            ("counts, F, P", lambda: [tip.P_newtons for tip in tips.read(data).values()]),
-            ("all, status and uncertainty too",
-             lambda: [(t.status, t.phi_deg, t.theta_deg, t.u_P_newtons) for t in tips.read(data).values()]),
-        ):  # fmt: skip
-            jobs.append((what, each, run, steps))
-    ways = {f"{what} {each}": partial(_timed, model, data, run, steps) for what, each, run, steps in jobs}
+    runs: dict[str, Callable[[], object]] = {
+        "load and strain": lambda: [load.microstrain for load in tips.loads(data).values()],
+        "counts, F, P": lambda: [tip.P_newtons for tip in tips.read(data).values()],
+        "all, status and uncertainty too":
+            lambda: [(t.status, t.phi_deg, t.theta_deg, t.u_P_newtons) for t in tips.read(data).values()],
+    }  # fmt: skip
+    each = {"step (2 kHz)": 1, "SYNC of 500 Hz": 4, "SYNC of 100 Hz": 20}
+    ways = {f"{what}; {name}": partial(_timed, model, data, run, steps)
+            for name, steps in each.items() for what, run in runs.items()}  # fmt: skip
     rows = []
-    for (what, each, _, _), times in zip(jobs, in_turns(ways, ROUNDS).values(), strict=True):
+    for name, times in in_turns(ways, ROUNDS).items():
         physics, twin = (min(column) / STEPS * 1e6 for column in zip(*times, strict=True))
-        rows.append([what, each, f"{physics:.1f}", f"{twin / len(FINGERS):.2f}",
-                     f"{twin / len(FINGERS) / physics:.3f}"])  # fmt: skip
+        a_finger = twin / len(FINGERS)
+        rows.append([*name.split("; "), f"{physics:.1f}", f"{a_finger:.2f}", f"{a_finger / physics:.3f}"])
     header = ["of each finger", "at each", "physics step, us", "twin, us a finger and step", "over physics"]
     return table(header, rows)
 
