@@ -75,11 +75,6 @@ class Coverage(NamedTuple):
     false_alarm: float  # simulations in which a good row was named an outlier
 
 
-def simulated(seed: int, faults: Faults) -> tuple[str, Simulated]:
-    case = CASES[seed % 3]
-    return case, simulate(case, np.random.default_rng(seed), faults)
-
-
 def fitted(sim: Simulated, drift: str, loss: str = "huber") -> Fit:
     """The product's fit: it is told a scatter (where there is any) and the converter's limit, and nothing else."""
     scatter = STATED_SCATTER_RAD if sim.faults.groove_scatter_rad or sim.faults.hang_scatter_rad else 0.0
@@ -112,7 +107,8 @@ def oracle(sim: Simulated) -> FloatArray:
 
 def compare(seed: int, faults: Faults, drift: str, loss: str = "huber") -> Comparison:
     """One calibration and its three fits on the same unseen loads."""
-    case, sim = simulated(seed, faults)
+    case = CASES[seed % 3]
+    sim = simulate(case, np.random.default_rng(seed), faults)
     fit = fitted(sim, drift, loss)
     rng = np.random.default_rng([seed, 1])
     F = unseen_forces(rng, UNSEEN)
@@ -148,7 +144,7 @@ def coverage(condition: str, simulations: int, workers: int = 1) -> Coverage:
 def _covered(condition: str, seed: int) -> tuple[FloatArray, FloatArray, bool]:
     """Which entries of C and which forces the intervals hold; whether a good row was named."""
     faults, drift = CONDITIONS[condition]
-    _, sim = simulated(seed, faults)
+    sim = simulate(CASES[seed % 3], np.random.default_rng(seed), faults)
     fit = fitted(sim, drift)
     lower, upper = fit.C_interval
     truth = np.linalg.inv(sim.true_A)

@@ -46,11 +46,6 @@ class Cell:
     status_percent: float  # readings with bit 4 (theta unresolved) or 5 (misses the tip)
     silent_percent: float  # readings whose interval of theta misses the truth, with no flag
 
-    @property
-    def flags(self) -> str:
-        """Readings flagged by their own criterion / by the status / not covered yet not flagged."""
-        return f"{self.flagged_percent:.0f} / {self.status_percent:.1f} / {self.silent_percent:.1f}"
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fits:
@@ -238,6 +233,11 @@ def covered(cells: list[Cell]) -> str:
     return " / ".join(texts)
 
 
+def flags(cells: list[Cell]) -> str:
+    """Readings flagged by their own criterion / by the status / not covered yet not flagged, of the one cell."""
+    return f"{cells[0].flagged_percent:.0f} / {cells[0].status_percent:.1f} / {cells[0].silent_percent:.1f}"
+
+
 def by_snr(cells: list[Cell], shown: Callable[[list[Cell]], str]) -> str:
     return table(["SNR", *(f"delta {delta}" for delta in DELTAS_DEG)], [
         [str(snr), *(shown([c for c in cells if (c.snr, c.delta_deg) == (snr, delta)]) for delta in DELTAS_DEG)]
@@ -256,7 +256,7 @@ def report(cells: list[Cell], one: list[dict[str, float | str]], trials: int) ->
     silent = max(c.silent_percent for c in cells)
     parts += [
         "### Flags: readings' own criterion / status bit 4 or 5 / silent misses of theta, % (isotropic)",
-        by_snr(isotropic, lambda cells: cells[0].flags),
+        by_snr(isotropic, flags),
         "### The 1 in G: case I, SNR 100, delta 30", table([*one[0]], ones),
         f"{len(cells)} cells of {trials} trials. Largest share of readings in any cell whose interval of theta misses "
         f"the truth without a flag: {silent:.1f} %.",

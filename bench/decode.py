@@ -1,9 +1,8 @@
 """Decoding logs: ours beside cantools, python-can, asammdf and a floor in C, on the same logs in one run.
 
-`python -m bench.decode` writes build/bench/decode-performance.md. The methods take
-turns, each in a process of its own. Times are the processor's: other work on the machine disturbs them less. Slow
-methods get the first part of a log. asammdf has an environment of its own, for python-can imports it where it is:
-`--asammdf` makes build/bench-venv (once). `--check`: every value of a million frames against cantools.
+`python -m bench.decode` writes build/bench/decode-performance.md. asammdf has an environment of its own, for python-can
+imports it where it is: `--asammdf` makes build/bench-venv (once). `--check`: every value of a million frames against
+cantools.
 """
 
 import json

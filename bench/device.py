@@ -85,7 +85,7 @@ def judged_node(n: int) -> Device:
 
 def steps(devices: list[Device], frames: list[tuple[int, bytes]], count: int, period_us: int) -> Callable[[], int]:
     """``count`` times the same frames to all devices."""
-    clock = times_us(period_us)
+    clock = itertools.count(1_000_000, period_us)
 
     def work() -> int:
         for _ in range(count):
@@ -97,14 +97,9 @@ def steps(devices: list[Device], frames: list[tuple[int, bytes]], count: int, pe
     return work
 
 
-def times_us(period_us: int) -> Iterator[int]:
-    """Time for a device, later at each step."""
-    return itertools.count(1_000_000 + period_us, period_us)
-
-
 def _upload_of_the_eds(in_blocks: bool) -> Callable[[], int]:
     """In segments, or in blocks of 127 segments, CRC included."""
-    device, clock = calibrated_node(5), times_us(10)
+    device, clock = calibrated_node(5), itertools.count(1_000_000, 10)
 
     def ask(*request: int) -> bytes:
         sent, _ = device.step(next(clock), [(0x605, bytes(request).ljust(8, b"\0"))])

@@ -1,8 +1,7 @@
 """A node for a day: `python -m bench.endurance`. Memory must not grow, and no counter may drift.
 
-The node's own loop runs on a clock that is moved and not waited for. SYNCs come ten times a second, the gauges are an
-Industrial I/O source whose devices are played; once an hour one is pulled out for a second, a gauge saturates, the
-bus loses a SYNC and the calibration is stored. Each simulated hour's memory is compared with that of the first.
+The node's own loop runs on a clock that is moved and not waited for, on an Industrial I/O source whose devices are
+played. Once an hour one is pulled out for a second, a gauge saturates, the bus loses a SYNC, the calibration is stored.
 """
 
 import gc

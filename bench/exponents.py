@@ -1,7 +1,6 @@
 """Cost against work, as exponents: processor time over frames, nodes, gauges, fingers and parts of a dataset.
 
-    python -m bench.exponents            five lines for docs/performance.md; some minutes
-    python -m bench.exponents --quick    a tenth of the most frames and parts
+    python -m bench.exponents    five lines for docs/performance.md; some minutes
 
 The exponent is the slope of log cost over log work by least squares: 1 where cost is proportional to work, less where a
 constant part counts. The range is that of the slopes of single rounds; within a round, the sizes take turns.
@@ -90,14 +89,14 @@ def row(name: str, sizes: Sequence[int], work: Callable[[int], Callable[[], floa
 
 
 def main() -> None:
-    quick, sizes = arguments(__doc__, "--quick").parse_args().quick, [10**5, 10**6, 10**7]
+    arguments(__doc__).parse_args()
     with tempfile.TemporaryDirectory() as folder:
         rows = [
-            row("frames: `decode --summary`", sizes[: 2 if quick else 3], partial(frames, Path(folder)), 3),
+            row("frames: `decode --summary`", [10**5, 10**6, 10**7], partial(frames, Path(folder)), 3),
             row("nodes: 40 SYNCs", [1, 4, 16, 64, 127], nodes, 5),
             row("gauges: 2000 contacts", list(range(3, 9)), gauges, 5),
             row("fingers: 500 live rows", [1, 2, 5, 10, 15], fingers, 5),
-            row("parts of a dataset: manifest", [10, 100, 1000, 10**4][: 3 if quick else 4], parts, 3),
+            row("parts of a dataset: manifest", [10, 100, 1000, 10**4], parts, 3),
         ]
     print(machine())
     print(table(["work", "sizes", "exponent"], rows))

@@ -151,10 +151,9 @@ def weights(calibrations: int) -> dict[str, tuple[float, float]]:
 
 
 def separation(model: Parity) -> FloatArray:
-    """The sine of the angle between the parity directions of each two gauges: (n, n), 0 to 1.
+    """The sine of the angle between the parity directions of each two gauges (n, n); NaN of invisible ones.
 
-    0: the two cannot be distinguished. Small: only by a fault that is larger by 1 / sine than the smallest visible
-    one. NaN for gauges whose faults are invisible.
+    0: the two cannot be distinguished. Small: only by a fault larger by 1 / sine than the smallest visible one.
     """
     length = np.sqrt(np.where(model.visible > 0.0, model.visible, np.nan))
     cosine = (model.W / length).T @ (model.W / length)

@@ -128,10 +128,7 @@ def conditions_at(solution: Solution, moved: dict[str, GaugePosition] | None = N
     return conditions(strain_matrix(solution, [places[point] for point in GAUGES]))
 
 
-Variants = dict[str, list[float]]  # the condition numbers of cases I, II, III by body or placing of gauges
-
-
-def outline_variants(cells: int) -> Variants:
+def outline_variants(cells: int) -> dict[str, list[float]]:
     """How the outline's unstated parts move the condition numbers, gauges where they fit."""
     mm = 1e-3
     bodies = {
@@ -158,7 +155,7 @@ def outer_gauges(position_m: float) -> dict[str, GaugePosition]:
     return {"L": GaugePosition("H", "left", position_m), "R": GaugePosition("H", "right", position_m)}
 
 
-def gauge_variants(solution: Solution) -> Variants:
+def gauge_variants(solution: Solution) -> dict[str, list[float]]:
     """L and R elsewhere; K, S and U further from their corners; gauges of other lengths, each beginning at its corner.
 
     The others are where they fit, 1 mm long. Beyond 14.5 mm a part of the gauge is glued under the leg.
@@ -249,7 +246,7 @@ def best_for_measured(solution: Solution, steps: int) -> Miss:
     return Miss(at, conditions(np.array([rows[point][best[point]] for point in GAUGES])), worst)
 
 
-def variant_table(variants: Variants) -> str:
+def variant_table(variants: dict[str, list[float]]) -> str:
     rows = [[what, *(f"{value:.3f}" for value in conditions)] for what, conditions in variants.items()]
     return table(["", "I", "II", "III"], rows)
 

@@ -2,9 +2,9 @@
 
     python -m bench.firmware
 
-MicroPython is the WebAssembly build under Node.js that the tests use (`make test` installs it). Its heap has pointers
-of 32 bits as a microcontroller's; its speed is that of this machine, and its times hold no collection of garbage. The
-firmware has three NAU7802 and an MCP2515 as fakes: what they take is not counted, but the time they need is.
+MicroPython is the WebAssembly build that the tests use: its heap has pointers of 32 bits as a microcontroller's, its
+speed is that of this machine, and its times hold no collection of garbage. Of the fakes of three NAU7802 and an MCP2515
+the time counts, the heap does not.
 """
 
 import statistics

@@ -4,9 +4,8 @@
     python -m bench.fuzz_sdo --conversations 1_000_000     the long run
     python -m bench.fuzz_sdo --seed 1 --only 4711          the requests of conversation 4711 of seed 1
 
-A conversation is one transfer, of each kind, with the device core as the server; on its way each response may be
-changed, lost, repeated, delayed, replaced, or joined by others that nobody asked for. The clock is a fake one. A
-conversation follows from the seed and its number alone.
+A conversation is one transfer with the device core as the server, in fake time; on its way each response may be
+disturbed. It follows from the seed and its number alone.
 """
 
 import gc

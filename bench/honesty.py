@@ -1,8 +1,6 @@
 """Does "ok" mean ok? Simulated fingers with one fault each; rows that say ok and are wrong, against the bounds.
 
-python -m bench.honesty                    1000 calibrations a cell (two hours on two processors)
-python -m bench.honesty --calibrations 20  fewer
-python -m bench.honesty --part grid        one of its tables
+python -m bench.honesty    1000 calibrations a cell (two hours); --calibrations 20, --part grid: fewer, one table
 
 A row is wrong where its P is off by more than five of its own standard uncertainties. Exit code 1 where the data can
 tell and more than 1 in 10,000 of the rows that say ok are wrong, or where good fingers are not as good as they must be.

@@ -35,14 +35,9 @@ _CONTACT = struct.Struct("<hhhBB")
 _FRAME = struct.Struct("=IB3xIHBB")  # the running number, then theta, status and counter of a Contact PDO
 
 
-def udp_socket() -> socket.socket:
-    """A socket for datagrams."""
-    return socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-
-
 def bound_receiver() -> socket.socket:
     """A UDP socket on 127.0.0.1 with the options of the live path."""
-    receiver = udp_socket()
+    receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     receiver.bind(("127.0.0.1", 0))
     prepare_socket(receiver)
     return receiver
@@ -51,7 +46,7 @@ def bound_receiver() -> socket.socket:
 def connected_pair() -> tuple[socket.socket, socket.socket]:
     """Such a receiver, and a sender; each is connected to the other."""
     receiver = bound_receiver()
-    sender = udp_socket()
+    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sender.connect(receiver.getsockname())
     receiver.connect(sender.getsockname())
     return receiver, sender
@@ -75,7 +70,7 @@ FramesOf = Callable[[int, int], list[bytes]]  # the frames from one number up to
 
 def send_at_rate(address: tuple[str, int], frames_of: FramesOf, rate_hz: int, seconds: float) -> None:
     """Send frames in ticks of a millisecond; what a late tick missed follows in the next."""
-    with udp_socket() as sender:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.connect(address)
         send, number, total = sender.send, 0, round(rate_hz * seconds)
         start_s = time.monotonic()
@@ -196,7 +191,7 @@ def run_sync(
 ) -> None:
     """A process: the SYNC, until the pipe is closed."""
     _hurry(realtime)
-    with udp_socket() as sender:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         producer = ThreadSync(partial(_send_sync, sender, (receiver, fingers)), period_s, data)
         pipe.poll(None)
         producer.stop()

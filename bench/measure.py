@@ -105,10 +105,7 @@ def command_s(words: Sequence[object], **options: Any) -> tuple[float, float]:
 
 
 def peak_mb(words: Sequence[object], **options: Any) -> float:
-    """The most memory that a command and its processes had at one time, sampled; what they share counts once.
-
-    ``options`` of subprocess.Popen.
-    """
+    """The most memory that a command and its processes had at one time, sampled; ``options`` of subprocess.Popen."""
     peak = 0
     with subprocess.Popen([str(word) for word in words], stdout=subprocess.DEVNULL, **options) as process:
         while process.poll() is None:
@@ -128,7 +125,7 @@ def _descendants(pid: int) -> list[int]:
 
 
 def _own_kb(pid: int) -> int:
-    """Proportional set size (Linux, proc(5))."""
+    """Proportional set size (proc(5)): what processes share counts once."""
     try:
         text = Path(f"/proc/{pid}/smaps_rollup").read_text()
     except OSError:

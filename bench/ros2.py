@@ -4,9 +4,8 @@
     python -m bench.ros2 --figures docs/figures    draws what the reader receives of the shipped scene of a grasp, and
                                                   a scene update of its MCAP file
 
-All runs in a network namespace with only a loopback interface. Fingers, SYNC, host (a Hand and the bridge of the
-command) and reader are processes of their own; loopback.py is the bus. A row waits 200 ms for a late finger, so that a
-busy machine does not count. Exit code 1 if less than 99.9 % of the wrenches that decode gives arrive, or one differs.
+In a network namespace of its own. Fingers, SYNC, host (a Hand and the bridge of the command) and reader are processes
+of their own. Exit code 1 if less than 99.9 % of the wrenches that decode gives arrive, or one differs.
 """
 
 import argparse

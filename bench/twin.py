@@ -3,9 +3,8 @@
     python -m bench.twin             both tables of docs/mujoco.md; half a minute
     python -m bench.twin --figure    docs/figures/mujoco-grasp.png
 
-The model of the cost is ``tipforce_robots.mujoco.hand_model``: five fingers of three joints, each with a fingertip on
-its springs, holding a ball. Physics and twin are timed in turns in one run. The errors are those of the grasp of
-``tipforce_robots.mujoco.grasp_model`` with 2 N of motor force against a reference with short steps and stiff contacts.
+Physics and twin are timed in turns, of ``hand_model`` holding a ball. The errors are those of ``grasp_model`` with 2 N
+of motor force against a reference with short steps and stiff contacts.
 """
 
 import os
