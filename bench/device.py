@@ -1,10 +1,8 @@
 """Measure the device core: cost per request and SYNC, memory, latency beside other loops, CPU share of a hand.
 
-    python -m bench.device                 everything, about a minute and a half
-    python -m bench.device costs           inside one process
-    python -m bench.device latency cpu     over loopback sockets
-
-docs/performance.md holds the figures and what they mean.
+python -m bench.device                 everything, about a minute and a half
+python -m bench.device costs           inside one process
+python -m bench.device latency cpu     over loopback sockets
 """
 
 import contextlib

@@ -27,7 +27,6 @@ NODE_ID = 5
 SYNC_US, HEARTBEAT_US, HOUR_US = 100_000, 1_000_000, 3_600_000_000
 ZERO, ENDS = 2048, (0, 4095)
 OUTAGE_US, HOURS = 1_000_000, 24
-_STORE = b"\x23\x10\x10\x01save"
 
 
 class Hour(NamedTuple):
@@ -100,7 +99,7 @@ class Bus:
         self._gauges[1].trouble = "gone" if into_us // OUTAGE_US == 600 else ""
         self._gauges[2].trouble = "end" if into_us // SYNC_US == 12_000 else ""
         if into_us // SYNC_US == 18_000:
-            self._pending.append((0x600 + NODE_ID, _STORE))
+            self._pending.append((0x600 + NODE_ID, b"\x23\x10\x10\x01save"))
         if into_us // SYNC_US == 24_000:
             return None  # this SYNC is lost
         self.syncs += 1

@@ -3,8 +3,6 @@
 python -m bench.fem                    everything, as the Markdown tables of docs/finite-elements.md (minutes)
 python -m bench.fem --quick            small meshes
 python -m bench.fem -o docs/figures    writes fem-outline.png and fem-work-precision.png too
-
-Nothing here is random. Times are of this machine, the least of three.
 """
 
 from __future__ import annotations
@@ -407,10 +405,10 @@ def work_precision_figure(
     for run, marker in zip(runs, "so^dv", strict=False):
         seconds = [level.seconds for level in run.levels]
         label = "uniform" if run.grading == 1.0 else f"graded, {run.grading:g}"
-        left.loglog(
-            seconds, [worst_error(level.conditions, condition) for level in run.levels], marker=marker, label=label
-        )
-        right.loglog(seconds, [distance(level.matrix, matrix) for level in run.levels], marker=marker, label=label)
+        of_conditions = [worst_error(level.conditions, condition) for level in run.levels]
+        of_strains = [distance(level.matrix, matrix) for level in run.levels]
+        for axes, errors in ((left, of_conditions), (right, of_strains)):
+            axes.loglog(seconds, errors, marker=marker, label=label)
     titles = ("condition number, worst of I, II, III", "strain matrix, Frobenius norm")
     for axes, title, error in zip((left, right), titles, known, strict=True):
         axes.axhspan(axes.get_ylim()[0], error, color="#dddddd", zorder=0)

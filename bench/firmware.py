@@ -20,6 +20,8 @@ SYNC = 0x080, b""
 NOT_COMPILED = ("main", "main_mcp2515")  # sources on the board
 MODULES = "app", "can_port", "can_mcp2515", "nau7802", "source"  # of this board; the others have the rest
 BUILD = """
+drivers = [Nau7802(nau) for nau in naus]
+port = Mcp2515(bus, bus.cs, 500000)
 node = Firmware(5, Gauges(drivers, 1024.0), port, FlashStore(slots), 1, Clock(clock.ticks, clock.diff))
 node.poll()
 bus.coming.append((0, b'\\1\\0'))
@@ -51,7 +53,6 @@ from firmware.nau7802 import Nau7802
 from firmware.source import Gauges
 import tipforce.fingertip.node
 """
-DRIVERS = "drivers = [Nau7802(nau) for nau in naus]\nport = Mcp2515(bus, bus.cs, 500000)"
 
 
 def sync_us() -> tuple[float, float]:
@@ -79,8 +80,8 @@ def around_the_loop() -> tuple[dict[str, int], dict[str, float]]:
         fakes = Path(engine.__file__).parents[1] / "microcontroller" / name
         files[f"{engine.LIBRARY}/microcontroller/{name}"] = fakes.read_bytes()
     count = "import gc\nprint('heap', gc.mem_alloc())"
-    calls = ["import sys", f"sys.path.append({engine.LIBRARY!r})", PREPARE, "import gc", count, IMPORT, count, DRIVERS,
-             BUILD, count, "around(3000, 1000, False)", count]  # fmt: skip
+    calls = ["import sys", f"sys.path.append({engine.LIBRARY!r})", PREPARE, "import gc", count, IMPORT, count, BUILD,
+             count, "around(3000, 1000, False)", count]  # fmt: skip
     for name, step_us, sync in (("nothing to do", 500, False), ("new reading, SYNC, two TPDOs", 4000, True)):
         calls += [f"print('time', '{name}:', around({ROUNDS}, {step_us}, {sync}))"] * (REPEATS + 1)
     lines = engine.run(files, calls)

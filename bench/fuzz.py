@@ -38,10 +38,6 @@ ROUND_FRAMES = 2500
 MEMORY_ROUNDS = 40  # one round of so many runs under tracemalloc, which makes it several times slower
 MEMORY_LIMIT_BYTES = 400_000  # what the node's own code may hold at the end of a round: dictionary, routes, buffers
 TPDOS = 4
-# One frame: an SDO block, or every TPDO on a SYNC, or a boot-up message and an LSS answer.
-MOST_PER_FRAME = MAX_BLOCK + TPDOS
-# Time alone: each TPDO's event, one heartbeat, one EMCY, one SDO abort or acknowledgement.
-MOST_PER_STEP = TPDOS + 3
 STATES = (codes.INITIALISING, codes.STOPPED, codes.OPERATIONAL, codes.PRE_OPERATIONAL)
 STRAIN_PER_NEWTON = ((8e-5, 1e-5, -2e-5), (-1e-5, 9e-5, 3e-5), (2e-5, -3e-5, 7e-5))
 MOST_BUFFERED = max(MAX_DOWNLOAD_BYTES, 5000) + 7
@@ -89,7 +85,10 @@ class Rig:
 class FingertipRig(Rig):
     """One node of a round, its store, and the invariants. ``number`` and ``seed`` determine how it starts."""
 
-    most_per_step, most_per_frame = MOST_PER_STEP, MOST_PER_FRAME
+    most_per_step = (
+        TPDOS + 3
+    )  # time alone: each TPDO's event, one heartbeat, one EMCY, one SDO abort or acknowledgement
+    most_per_frame = MAX_BLOCK + TPDOS  # an SDO block, or every TPDO on a SYNC, or a boot-up message and an LSS answer
 
     def __init__(self, seed: int, number: int) -> None:
         rng = Random(f"{seed} {number} start")

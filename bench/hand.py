@@ -184,9 +184,8 @@ def running_rows(rows: int, receives: bool = True) -> int:
     contacts = RowContacts(hand.node_ids, FINGERS, [CALIBRATION] * len(FINGERS))
     made = hand._delivery.rows(partial(rows_one_by_one, contacts=contacts), 0.0)
     hand._probe_s, newtons, count = inf, 0.0, 0  # no finger is lost
-    clock = SimpleNamespace(
-        monotonic=lambda: 1e-3 * count, time_ns=time.time_ns
-    )  # a row a millisecond, also in valgrind
+    # A row a millisecond, also in valgrind.
+    clock = SimpleNamespace(monotonic=lambda: 1e-3 * count, time_ns=time.time_ns)
     with mock.patch.object(hand_module, "time", clock):
         for row in range(rows):
             link.feed(row)

@@ -31,7 +31,6 @@ from tipforce_tools.log import TICK_S
 SECONDS = 20.0
 LOGGER_HZ = 10_000
 FRAMES, ROUNDS = 2048, 40  # of the costs: frames in one turn
-_SILENCE_S = 5.0
 
 
 def ways(receiver_socket: socket.socket) -> dict[str, Callable[[], int]]:
@@ -125,8 +124,6 @@ class Load(NamedTuple):
 
 
 LOAD_HEADER = ["run", "sent", "received", "dropped", "in order", "lag median", "p99", "largest", "CPU"]
-Take = Callable[[float], tuple[Any, Any]]
-"""Waits at most the given time; returns running numbers and stamps (ns) of the frames received and decoded, if any."""
 
 
 def compute(stop: threading.Event) -> None:
@@ -167,8 +164,10 @@ def run_struct(rate_hz: int, seconds: float, *, busy: bool = False) -> Load:
 
 
 def _run(
-    take: Take, receiver: socket.socket, rate_hz: int, seconds: float, busy: bool, dropped: Callable[[], int]
-) -> Load:
+    take: Callable[[float], tuple[Any, Any]], receiver: socket.socket, rate_hz: int, seconds: float, busy: bool,
+    dropped: Callable[[], int],
+) -> Load:  # fmt: skip
+    """``take`` waits at most so long; it returns running numbers and stamps (ns) of the frames received and decoded."""
     total, count, batches = round(rate_hz * seconds), 0, list[tuple[Any, Any, int]]()
     with background(compute) if busy else nullcontext(), loopback.sending(receiver, rate_hz, seconds):
         numbers, stamps_ns = take(30.0)
@@ -178,7 +177,7 @@ def _run(
             count += len(numbers)
             if count + dropped() >= total:
                 break
-            numbers, stamps_ns = take(_SILENCE_S)
+            numbers, stamps_ns = take(5.0)  # no silence is so long
         share = meter.share
     number, stamp_ns = (np.concatenate([batch[k] for batch in batches]).astype(np.int64) for k in (0, 1))
     decoded_ns = np.repeat([batch[2] for batch in batches], [len(batch[0]) for batch in batches])

@@ -19,7 +19,6 @@ from tipforce_lab.report import run
 
 ROOT = Path(__file__).parents[1]
 TIPFORCE = (sys.executable, "-m", "tipforce_tools.cli.main")
-_SAMPLE_S = 0.02
 Result = TypeVar("Result")
 
 
@@ -110,7 +109,7 @@ def peak_mb(words: Sequence[object], **options: Any) -> float:
     with subprocess.Popen([str(word) for word in words], stdout=subprocess.DEVNULL, **options) as process:
         while process.poll() is None:
             peak = max(peak, sum(map(_own_kb, _descendants(process.pid))))
-            time.sleep(_SAMPLE_S)
+            time.sleep(0.02)
     if process.returncode:
         raise SystemExit(f"{' '.join(map(str, words))} ended with {process.returncode}")
     return peak * 1024 / 1e6

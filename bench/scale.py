@@ -31,7 +31,6 @@ from tipforce.host.logs.lines import line_borders
 FULL_FRAMES, ROUNDS, PARTS = 10_000_000, 3, 100_000
 _CHUNK = 1_000_000
 _START_NS = 1_700_006_400 * 10**9
-_DAY_NS = 86_400 * 10**9
 _COLUMN = Column("P_N", "P", "real", 3, "N", 0)
 
 
@@ -143,7 +142,7 @@ def month(folder: Path, days: int = 30, rows: int = 3600) -> None:
 def slice_of_month(folder: Path) -> str:
     """A slice of one minute of a month: 30 days of five nodes at 1 Hz."""
     month(folder)
-    begin = When(_START_NS + 17 * _DAY_NS + 3_600 * 10**9, False)
+    begin = When(_START_NS + (17 * 24 + 1) * 3_600 * 10**9, False)
     reading = Reading(Layouts(), start=begin, end=When(begin.ns + 60 * 10**9, False))
 
     def read() -> None:

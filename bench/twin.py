@@ -37,7 +37,6 @@ SETTINGS = [
     (0.0001, 0.002, False), (0.0005, 0.002, False), (0.0005, 0.005, False), (0.0005, 0.02, False),
     (0.0005, 0.05, False), (0.0005, 0.02, True), (0.001, 0.02, True), (0.002, 0.02, True), (0.005, 0.02, True),
 ]  # fmt: skip
-FIGURE = ROOT / "docs" / "figures" / "mujoco-grasp.png"
 
 
 def holding() -> tuple[mujoco.MjModel, mujoco.MjData, Fingertips]:
@@ -150,7 +149,7 @@ def figure() -> None:
     inset.axhspan(low, high, color="0.85", lw=0.0)
     inset.set_title("the last half second; grey: asked, plus and minus u(P)", fontsize=8)
     inset.tick_params(labelsize=7)
-    save_figure(fig, FIGURE, dpi=110)
+    save_figure(fig, ROOT / "docs" / "figures" / "mujoco-grasp.png", dpi=110)
 
 
 def _picture(gripper: grasp.Gripper) -> npt.NDArray[np.uint8]:

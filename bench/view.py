@@ -19,7 +19,7 @@ from typing import Literal
 
 from bench.loopback import bound_receiver, sending
 from bench.measure import ROOT, Meter, arguments, machine, table
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, sync_playwright
 from websockets.sync.client import connect
 
 from tipforce.host.live.receive import SocketReceiver
@@ -34,10 +34,8 @@ from tipforce_tools.page.sources import LiveSource, Source
 
 FINGERS, SYNC_HZ, SECONDS = 15, 400, 10.0
 HEADER = ["browsers", "pictures/s", "frames dropped", "lost rows", "CPU share"]
-FIGURES = ROOT / "docs" / "figures"
 _FRAME = struct.Struct("=IB3x8s")
 _SETTLE_S = 3.0
-_STATUS = 3
 
 
 def main() -> None:
@@ -48,7 +46,7 @@ def main() -> None:
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         if args.screenshots:
-            screenshots(browser, FIGURES)
+            screenshots(browser, ROOT / "docs" / "figures")
         else:
             print(machine())
             print(f"{FINGERS} fingers, {SYNC_HZ} Hz, {(2 * FINGERS + 1) * SYNC_HZ} frames/s, {SECONDS:g} s each")
@@ -109,7 +107,7 @@ def sync_frames(first: int, until: int) -> list[bytes]:
             P = round(2500 + 1500 * math.sin(1.7 * angle))
             strain = [round(2000 * math.sin(angle + n)) for n in range(3)]
             for base, values in ((0x280, (P, theta - 18000, theta)), (0x180, strain)):
-                data = struct.pack("<hhhBB", *values, _STATUS, k % 256)
+                data = struct.pack("<hhhBB", *values, 3, k % 256)
                 frames.append(_FRAME.pack(base + node_id, 8, data))
     return frames
 
@@ -120,23 +118,27 @@ def screenshots(browser: Browser, folder: Path) -> None:
     from tipforce.watching.watcher import finger_maker
     from tipforce_tools.page.sources import scene_source
 
-    hand = scene_source(shipped_folder("scenes") / "hand.toml", finger_maker())
-    with shown(browser, hand, 1280, 900, "light") as page:
-        seek(page, 9.0)
-        picture(page, folder / "view-desktop.png")
-    with shown(browser, hand, 390, 844, "dark") as page:
-        seek(page, 5.0)
-        picture(page, folder / "view-phone.png")
-    grooves = scene_source(shipped_folder("scenes") / "grooves.toml", finger_maker())
-    with shown(browser, grooves, 1280, 1000, "dark") as page:
+    hand, grooves = (
+        scene_source(shipped_folder("scenes") / f"{name}.toml", finger_maker()) for name in ("hand", "grooves")
+    )
+    screenshot(browser, hand, (1280, 900), "light", 9.0, folder / "view-desktop.png")
+    screenshot(browser, hand, (390, 844), "dark", 5.0, folder / "view-phone.png")
+    screenshot(browser, grooves, (1280, 1000), "dark", 1.0, folder / "view-recording.png", gauges=True)
+
+
+def screenshot(
+    browser: Browser, source: Source, size: tuple[int, int], scheme: Literal["light", "dark"], t_s: float, path: Path,
+    gauges: bool = False,
+) -> None:  # fmt: skip
+    """Write the page as it shows a moment of a recording, in few bytes."""
+    from PIL import Image
+
+    server = ViewServer(source, Guard(), ("127.0.0.1",))
+    server.start()
+    page = browser.new_page(viewport={"width": size[0], "height": size[1]}, color_scheme=scheme)
+    page.goto(server.url)
+    if gauges:
         page.select_option("#what", "gauges")
-        seek(page, 1.0)
-        page.locator(".chart").first.hover(position={"x": 300, "y": 60})
-        picture(page, folder / "view-recording.png")
-
-
-def seek(page: Page, t_s: float) -> None:
-    """Show this moment of a recording."""
     page.wait_for_function("() => window.tipforce.drawn > 10")
     page.evaluate(
         "t => { const scrub = document.getElementById('scrub'); scrub.value = Number(scrub.min) + 1000 * t;"
@@ -144,27 +146,11 @@ def seek(page: Page, t_s: float) -> None:
         t_s,
     )
     page.wait_for_timeout(1500)
-
-
-@contextlib.contextmanager
-def shown(
-    browser: Browser, source: Source, width: int, height: int, scheme: Literal["light", "dark"]
-) -> Iterator[Page]:
-    """Serve a source, and yield a page that shows it."""
-    server = ViewServer(source, Guard(), ("127.0.0.1",))
-    server.start()
-    page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme)
-    page.goto(server.url)
-    yield page
-    server.close()
-
-
-def picture(page: Page, path: Path) -> None:
-    """Write the page as it is now, in few bytes, and close it."""
-    from PIL import Image
-
+    if gauges:
+        page.locator(".chart").first.hover(position={"x": 300, "y": 60})
     page.screenshot(path=path)
     page.close()
+    server.close()
     with Image.open(path) as image:
         small = image.convert("RGB")
     small.save(path, optimize=True)
