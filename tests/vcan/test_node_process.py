@@ -1,4 +1,4 @@
-"""The node as a process: how it ends, an interface that goes away, a clock that is set."""
+"""The node as a process: how it ends, an interface that goes away, its priority."""
 
 import os
 import signal
@@ -12,7 +12,6 @@ import pytest
 from vcan.adc import in_user_mode_linux
 from vcan.support import (
     HEARTBEAT,
-    NMT,
     NODE_ID,
     OPERATIONAL_BEAT,
     WAIT_S,
@@ -92,28 +91,6 @@ def test_node_outlives_its_interface(own_bus: str, tmp_path: Path, away: list[st
         ip("set", own_bus, "up")
         still_operational(own_bus, node)
         assert node.stderr.count(said) == 1
-
-
-def test_a_clock_that_is_set_moves_nothing(bus: RawBus, tmp_path: Path) -> None:
-    if not in_user_mode_linux():
-        pytest.skip("sets the time of day: only on a kernel of its own, `tipforce vcan --uml -- ...`")
-    with running_node(tmp_path) as node:
-        start_with_fast_heartbeats(bus)
-        before = time.clock_gettime(time.CLOCK_REALTIME)
-        began = time.monotonic()
-        try:
-            for step_s in (86400.0, -2 * 86400.0, 1e9):
-                time.clock_settime(time.CLOCK_REALTIME, time.clock_gettime(time.CLOCK_REALTIME) + step_s)
-                beats = [bus.until(lambda frame: frame == OPERATIONAL_BEAT) for _ in range(10)]
-                assert all(len(frames) == 1 for frames in beats), "nothing but heartbeats: no EMCY, no burst"
-        finally:
-            time.clock_settime(time.CLOCK_REALTIME, before + time.monotonic() - began)
-        # Thirty heartbeats of 20 ms: less would be a burst after a step forward. The lower bound alone is no timing.
-        assert time.monotonic() - began > 0.5
-        with RawBus() as later:  # a new one: what came before must not pass for an answer
-            later.send(NMT, bytes((1, NODE_ID)))
-            assert answers_a_sync(later)
-        assert node.end() == 0
 
 
 def test_priority_and_locked_memory_as_root(tmp_path: Path) -> None:
