@@ -5,6 +5,7 @@ running case knows are ``late``.
 """
 
 import math
+import struct
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
@@ -94,6 +95,15 @@ def unchanged(dut: Dut, /, kind: str, index: int, sub: int, *steps: Step) -> Non
     for taken in steps:
         taken(dut)
     dut.holds(kind, index, sub, before)
+
+
+@step
+def rises(dut: Dut, /, kind: str, index: int, sub: int, more: int, *steps: Step) -> None:
+    """Take the steps, and check that a counter went up so far; it may wrap."""
+    before = dut.integer(kind, index, sub)
+    for taken in steps:
+        taken(dut)
+    dut.holds(kind, index, sub, (before + more) % 256 ** struct.calcsize(kind))
 
 
 @step

@@ -87,18 +87,9 @@ def product(dut: Dut) -> None:
     check(code & 0xFFFFFC00 == 0x54500000 and 3 <= code & 0xFF <= 8, "545000nnh to 545003nnh", f"{code:08X}h")
 
 
-@identity(
-    "7.5.2.24: 1021h begins as an EDS does; 1022h says that it is not compressed",
-    ((0x1021, 0), (0x1022, 0)),
-)
-def eds(dut: Dut) -> None:
-    dut.ask("40 21 10 00", "41 21 10 00 *")
-    first = dut.ask("60", "00 *")
-    check(first[1:].startswith(b"["), "[FileInfo]", first[1:].hex(" "))
-    dut.abort(0x1021)
-    dut.holds("H", 0x1022, 0, 0)
-
-
+identity("eds 7.5.2.24: 1021h begins as an EDS does; 1022h says that it is not compressed", ((0x1021, 0), (0x1022, 0)),
+    do.ask("40 21 10 00", "41 21 10 00 *"), do.ask("60", f"00 {ord('['):02X} *"),  # [FileInfo]
+    do.abort(0x1021), do.holds("H", 0x1022, 0, 0))
 identity("eds_constant 7.5.2.24: 1021h cannot be written", ((0x1022, 0),),
     do.request("21 21 10 00 04"), do.aborted(0x1021, 0, Abort.READ_ONLY))
 
