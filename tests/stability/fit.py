@@ -4,9 +4,8 @@ import math
 
 import numpy as np
 
-from stability.case import Observed, shortened
+from stability.case import Observed, refusal, shortened
 from tipforce.arrays import FloatArray
-from tipforce.errors import InputError
 from tipforce.sensor.calibration.fit import Fit, Model, Readings, fit_calibration
 from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.contact.estimate import force_vector
@@ -32,13 +31,9 @@ def _readings(
     return Readings(strain + noise * rng.standard_normal(strain.shape), P, phi, theta, np.arange(len(P), dtype=float))
 
 
-def _refusal(readings: Readings, model: Model | None = None) -> str:
+def _refusal(readings: Readings) -> str:
     """Return the error text of fit_calibration; empty without an error."""
-    try:
-        fit_calibration(readings, model)
-    except InputError as error:
-        return str(error)
-    return ""
+    return refusal(lambda: fit_calibration(readings))
 
 
 def _changed(readings: Readings, **columns: FloatArray) -> Readings:

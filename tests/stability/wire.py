@@ -8,11 +8,10 @@ import numpy as np
 
 from canopen_device.core import codes, communication, emcy
 from fingertip import finger as rig
-from stability.case import Observed
+from stability.case import Observed, refusal
 from tipforce.dictionary import indices, table
 from tipforce.dictionary.entries import entries
 from tipforce.dictionary.signals import tpdo_messages
-from tipforce.errors import InputError
 from tipforce.host.decoding import decoder as decode
 from tipforce.host.frames.frame_array import FrameArray, frame_array
 
@@ -195,12 +194,9 @@ def wire_same_cob_id() -> Observed:
     finger = rig.finger(emcy=True)
     for _ in range(3):
         finger.step([(_GAUGES_COB_ID, bytes(8))])
-    codes, decoder, said = finger.emcy(), decode.Decoder(), ""
-    decoder.remap(5, "Contact", _FREE_COB_ID, [(indices.PROCESS_VALUE + table.INT16_FORM, 7, 16)])
-    try:
-        decoder.remap(6, "Contact", _FREE_COB_ID, [(indices.PROCESS_VALUE + table.INT16_FORM, 7, 16)])
-    except InputError as error:
-        said = str(error)
+    codes, decoder, mapped = finger.emcy(), decode.Decoder(), [(indices.PROCESS_VALUE + table.INT16_FORM, 7, 16)]
+    decoder.remap(5, "Contact", _FREE_COB_ID, mapped)
+    said = refusal(lambda: decoder.remap(6, "Contact", _FREE_COB_ID, mapped))
     held = codes == [emcy.COB_ID_COLLISION] and "already assigned to Contact of node 5" in said
     return held, f"EMCY {codes[0]:04X}h; {said}"
 
