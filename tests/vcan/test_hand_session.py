@@ -1,4 +1,4 @@
-"""A hand of five nodes on a real bus: killed nodes, an interface that goes down, a babbler; and nothing old is live.
+"""A hand of five nodes on a real bus: killed nodes, an interface that goes down; and nothing old is live.
 
 How long a hand takes to be correct again is counted in heartbeats of a finger that nothing happened to, 200 ms each: 10
 of them are the 2 s that are promised. The wall-clock figure is only printed, because tests assert none: it is that of a
@@ -220,28 +220,6 @@ def test_interface_down_and_up(session: Session) -> None:
     assert kinds[0] == ("bus_up", 0)
     assert {("heartbeat_back", n) for n in NODE_IDS} <= set(kinds)
     assert of_others(kinds[1:]) == []  # they were never away: nothing to set up
-
-
-@pytest.mark.parametrize("can_id", [0x050, 0x283], ids=["nobody's", "of finger 3"])
-def test_babbler(session: Session, can_id: int) -> None:
-    """A second or two of a frame that says 0.5 N, which no finger feels at any time here."""
-    # Its counter is far from the finger's: with its very first frame, one that fits could not be told from an answer.
-    wait_until(session.whole, "the hand should be there before it")
-    counter = (int(session.rows[-1].counter[-1, 2]) + 128) % 256
-    data = f"F401{0:010X}{counter:02X}"
-    words = ["cangen", CHANNEL, "-I", f"{can_id:03X}", "-L", "8", "-D", data, "-g", "3", "-n", "400"]
-    subprocess.run(words, check=True, timeout=WAIT_S)
-    session.recovered(f"babbler 0x{can_id:03X}")
-    node_id = 3 if can_id == 0x283 else 0
-    seen: list[tuple[str, int]] = []
-
-    def told() -> list[str]:
-        return [kind.partition(":")[0] for kind, of in seen if of == node_id and "babbling" in kind]
-
-    # On a busy machine cangen itself may pause: then it ends more than once, and the last end is still to come.
-    wait_until(lambda: told()[-1:] == ["babbling_end"], "its end should be told", lambda: seen.extend(session.kinds()))
-    assert of_others(seen, node_id) == []
-    assert told()[0] == "babbling"
 
 
 def test_hand_up_by_command(session: Session, launch: Launch) -> None:
