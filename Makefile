@@ -71,7 +71,7 @@ long: bootstrap-test ## run every long check at full size, and write the reports
 	TIPFORCE_DAYS=30 $(PYTHON) -m pytest -q tests/tools/decode/test_dataset_readers.py
 	$(PYTHON) -m bench.live
 	$(PYTHON) -m bench.hand
-	$(PYTHON) -m bench.row_model --sequences 10000
+	TIPFORCE_SEQUENCES=10000 $(PYTHON) -m pytest -q tests/host/hand/test_rows.py -k random_sequences -o faulthandler_timeout=0
 	$(PYTHON) -m bench.view
 	$(PYTHON) -m bench.twin
 	$(PYTHON) -m bench.soak

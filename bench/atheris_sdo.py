@@ -58,23 +58,20 @@ class Rig:
             self._step(((0x080, b"\x01"),), 2_000_000)
 
 
-def main() -> int:
+def main() -> None:
     if len(sys.argv) < 2 or sys.argv[1] not in ("sdo", "storage"):
-        print("usage: python -m bench.atheris_sdo sdo|storage [libFuzzer arguments]", file=sys.stderr)
-        return 2
+        raise SystemExit("usage: python -m bench.atheris_sdo sdo|storage [libFuzzer arguments]")
     try:
         atheris: Any = importlib.import_module("atheris")
     except ImportError:
-        print("atheris is not installed: pip install atheris (Linux and macOS), then run this again", file=sys.stderr)
-        return 2
+        raise SystemExit("atheris is not installed: pip install atheris (Linux and macOS), then run again") from None
     # What guides the fuzzer is imported under its eyes.
     with atheris.instrument_imports(include=["canopen_device", "tipforce"]):
         rig = Rig()
     target = getattr(rig, sys.argv.pop(1))
     atheris.Setup(sys.argv, target)
     atheris.Fuzz()
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

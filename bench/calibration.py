@@ -38,8 +38,7 @@ FULL_SIMULATIONS, QUICK_SIMULATIONS = 2000, 60
 DIRECTIONS = np.array([[0.0, 0.0, 2.0], [1.0, 1.0, -2.0], [-3.0, 3.0, 0.0], [0.0, 0.0, 0.0]])
 """Forces, newtons, at which the covariance of an estimate is judged; the third is a push, never calibrated."""
 
-STATED_SCATTER_RAD = float(np.radians(0.5))
-"""What the fit is told of load directions."""
+STATED_SCATTER_RAD = float(np.radians(0.5))  # what the fit is told of load directions
 _CLEAN = Faults(drift_strain=0.0, groove_scatter_rad=0.0, hang_scatter_rad=0.0, outlier_share=0.0, saturation=None)
 CONDITIONS: dict[str, tuple[Faults, str]] = {
     "offset and noise": (_CLEAN, "none"),
@@ -62,29 +61,18 @@ class Comparison:
     errors: dict[str, float]
     """By ERRORS. Of the first three, readings have noise, and the fit's offsets are those of the last row."""
     outliers: int
-    found: int
-    """Of the outliers, how many the fit named."""
-    falsely: int
-    """Good rows that it named."""
+    found: int  # of the outliers, how many the fit named
+    falsely: int  # good rows that it named
 
 
 class Coverage(NamedTuple):
     """How often nominal 95 % intervals held the truth, per cent."""
 
     condition: str
-    matrix: float
-    """Mean over the nine entries of C."""
-    matrix_worst: float
-    """The entry furthest from 95."""
-    force: float
-    """Mean over F1, F2, F3 at DIRECTIONS: what the calibration contributes to an estimate."""
-    false_alarm: float
-    """Simulations in which a good row was named an outlier."""
-
-
-def simulated(seed: int, faults: Faults) -> tuple[str, Simulated]:
-    case = CASES[seed % 3]
-    return case, simulate(case, np.random.default_rng(seed), faults)
+    matrix: float  # mean over the nine entries of C
+    matrix_worst: float  # the entry furthest from 95
+    force: float  # mean over F1, F2, F3 at DIRECTIONS: what the calibration contributes to an estimate
+    false_alarm: float  # simulations in which a good row was named an outlier
 
 
 def fitted(sim: Simulated, drift: str, loss: str = "huber") -> Fit:
@@ -119,7 +107,8 @@ def oracle(sim: Simulated) -> FloatArray:
 
 def compare(seed: int, faults: Faults, drift: str, loss: str = "huber") -> Comparison:
     """One calibration and its three fits on the same unseen loads."""
-    case, sim = simulated(seed, faults)
+    case = CASES[seed % 3]
+    sim = simulate(case, np.random.default_rng(seed), faults)
     fit = fitted(sim, drift, loss)
     rng = np.random.default_rng([seed, 1])
     F = unseen_forces(rng, UNSEEN)
@@ -155,7 +144,7 @@ def coverage(condition: str, simulations: int, workers: int = 1) -> Coverage:
 def _covered(condition: str, seed: int) -> tuple[FloatArray, FloatArray, bool]:
     """Which entries of C and which forces the intervals hold; whether a good row was named."""
     faults, drift = CONDITIONS[condition]
-    _, sim = simulated(seed, faults)
+    sim = simulate(CASES[seed % 3], np.random.default_rng(seed), faults)
     fit = fitted(sim, drift)
     lower, upper = fit.C_interval
     truth = np.linalg.inv(sim.true_A)

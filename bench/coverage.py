@@ -40,23 +40,11 @@ class Cell:
     layout: str
     snr: int
     delta_deg: int
-    percents: tuple[float, float, float]
-    """Intervals of P, phi, theta that hold the truth."""
-    holds: tuple[bool, bool, bool]
-    """first_order_holds() at the true load, for P, phi, theta."""
-    flagged_percent: float
-    """Readings whose own first_order_holds() is false for theta."""
-    status_percent: float
-    """Readings with bit 4 (theta unresolved) or 5 (misses the tip)."""
-    silent_percent: float
-    """Readings whose interval of theta misses the truth, with no flag."""
-    bias_P: float
-    """Mean error of P, in units of s^2 / 2P, s the uncertainty across the force; NaN where noise hides it."""
-
-    @property
-    def flags(self) -> str:
-        """Readings flagged by their own criterion / by the status / not covered yet not flagged."""
-        return f"{self.flagged_percent:.0f} / {self.status_percent:.1f} / {self.silent_percent:.1f}"
+    percents: tuple[float, float, float]  # intervals of P, phi, theta that hold the truth
+    holds: tuple[bool, bool, bool]  # first_order_holds() at the true load, for P, phi, theta
+    flagged_percent: float  # readings whose own first_order_holds() is false for theta
+    status_percent: float  # readings with bit 4 (theta unresolved) or 5 (misses the tip)
+    silent_percent: float  # readings whose interval of theta misses the truth, with no flag
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,14 +105,9 @@ def cell(
     bits = status(estimated, u, miss_uncertainties(F, covariance), (0.0, 0.0, -180.0, 180.0))
     flagged_by_status = bits & (scalar.THETA_UNRESOLVED | scalar.MISSES_TIP) != 0
     silent = ~inside[:, 2] & ~flagged & ~flagged_by_status
-    u_P, u_phi, _ = estimate.standard_uncertainties(true_F, typical, pull=pull)
-    bias, error = 0.5 * P_NEWTONS * u_phi**2, u_P / sqrt(len(F))
     counted = [100.0 * float(np.mean(rows)) for rows in (flagged, flagged_by_status, silent)]
     holds = tuple(estimate.first_order_holds(true_F, typical).tolist())
-    return Cell(
-        *names, tuple((100.0 * np.mean(inside, axis=0)).tolist()), holds, counted[0], counted[1], counted[2],
-        float(np.mean(errors[0]) / bias) if bias > 5.0 * error else float("nan"),
-    )  # fmt: skip
+    return Cell(*names, tuple((100.0 * np.mean(inside, axis=0)).tolist()), holds, *counted)
 
 
 def miss_uncertainties(F: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -250,30 +233,16 @@ def covered(cells: list[Cell]) -> str:
     return " / ".join(texts)
 
 
+def flags(cells: list[Cell]) -> str:
+    """Readings flagged by their own criterion / by the status / not covered yet not flagged, of the one cell."""
+    return f"{cells[0].flagged_percent:.0f} / {cells[0].status_percent:.1f} / {cells[0].silent_percent:.1f}"
+
+
 def by_snr(cells: list[Cell], shown: Callable[[list[Cell]], str]) -> str:
     return table(["SNR", *(f"delta {delta}" for delta in DELTAS_DEG)], [
         [str(snr), *(shown([c for c in cells if (c.snr, c.delta_deg) == (snr, delta)]) for delta in DELTAS_DEG)]
         for snr in SNRS
     ])  # fmt: skip
-
-
-def bias_line(cells: list[Cell]) -> str:
-    """The bias of P where it stands out of the noise of the simulation and first order holds."""
-    biases = [c.bias_P for c in cells if np.isfinite(c.bias_P) and all(c.holds) and c.scenario == "C known"]
-    if not biases:
-        return "Bias of P: below what this many trials can show."
-    return (
-        f"Bias of P over s^2 / 2P (1 expected; C known, SNR 10, where first order holds): "
-        f"{min(biases):.2f} to {max(biases):.2f}, mean {np.mean(biases):.2f}."
-    )
-
-
-_ONE = {
-    "grooves_to_deg": "grooves to", "sense": "reading", "P_percent_with": "P with 1", "P_percent_without": "P without",
-    "theta_percent_with": "theta with 1", "theta_percent_without": "theta without", "leverage_ratio": "ratio: mean",
-    "leverage_ratio_max": "max",
-}  # fmt: skip
-"""The columns of the table of the 1 in G."""
 
 
 def report(cells: list[Cell], one: list[dict[str, float | str]], trials: int) -> str:
@@ -283,12 +252,12 @@ def report(cells: list[Cell], one: list[dict[str, float | str]], trials: int) ->
         of = "" if scenario == ISOTROPIC else f", the worst of cases {', '.join(dict.fromkeys(c.layout for c in here))}"
         parts += [f"### {scenario[0].upper()}{scenario[1:]}{of}", by_snr(here, covered)]
     isotropic = [c for c in cells if c.scenario == ISOTROPIC]
-    ones = [[f"{r['grooves_to_deg']:.0f}", str(r["sense"]), *(f"{r[key]:.1f}" for key in [*_ONE][2:])] for r in one]
+    ones = [[f"{value:.1f}" if isinstance(value, float) else value for value in row.values()] for row in one]
     silent = max(c.silent_percent for c in cells)
     parts += [
         "### Flags: readings' own criterion / status bit 4 or 5 / silent misses of theta, % (isotropic)",
-        by_snr(isotropic, lambda cells: cells[0].flags), bias_line(cells),
-        "### The 1 in G: case I, SNR 100, delta 30", table(list(_ONE.values()), ones),
+        by_snr(isotropic, flags),
+        "### The 1 in G: case I, SNR 100, delta 30", table([*one[0]], ones),
         f"{len(cells)} cells of {trials} trials. Largest share of readings in any cell whose interval of theta misses "
         f"the truth without a flag: {silent:.1f} %.",
     ]  # fmt: skip

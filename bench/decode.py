@@ -1,9 +1,8 @@
 """Decoding logs: ours beside cantools, python-can, asammdf and a floor in C, on the same logs in one run.
 
-`python -m bench.decode` writes build/bench/decode-performance.md. The methods take
-turns, each in a process of its own. Times are the processor's: other work on the machine disturbs them less. Slow
-methods get the first part of a log. asammdf has an environment of its own, for python-can imports it where it is:
-`--asammdf` makes build/bench-venv (once). `--check`: every value of a million frames against cantools.
+`python -m bench.decode` writes build/bench/decode-performance.md. asammdf has an environment of its own, for python-can
+imports it where it is: `--asammdf` makes build/bench-venv (once). `--check`: every value of a million frames against
+cantools.
 """
 
 import json
@@ -13,32 +12,28 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cantools
 import numpy as np
-import numpy.typing as npt
 from bench.decode_methods import DBC
 from bench.measure import ROOT, TIPFORCE, arguments, command_s, in_turns, machine, peak_mb, table, write_page
 
 from tipforce.host.decoding.decoder import Decoder
-from tipforce.host.decoding.sample_table import Values
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.recorder import CandumpWriter
 
 ASAMMDF_PYTHON = ROOT / "build" / "bench-venv" / "bin" / "python"
 FLOOR = Path(__file__).with_name("decode_floor.c")
-LOGS = {
-    f"{nodes} nodes, {kind} dlc": (nodes, kind == "variable") for nodes in (5, 15) for kind in ("fixed", "variable")
-}
-FAST = ("floor", "parse", "memory")
+NODES = 15
+FAST = ("floor", "memory")
 SLOW = ("LogReader", "cantools loop", "cantools decode")
 COMMANDS = {"tipforce decode to CSV": "csv", "tipforce decode to Parquet": "parquet", "tipforce decode to MCAP": "mcap",
             "tipforce decode --summary": None}  # fmt: skip
-AIMS = {"tipforce decode to CSV": 15, "tipforce decode to Parquet": 60, "tipforce decode --summary": 60}
-"""Times cantools decode."""
+AIMS = {"tipforce decode to CSV": 15, "tipforce decode to Parquet": 60, "tipforce decode --summary": 60}  # x cantools
 SAME_SUMS = {"floor", "memory", "asammdf"}
 TOLERANCE = 1e-9
 FRAMES, SLOW_FRAMES, ROUNDS = 1_000_000, 200_000, 5
@@ -51,25 +46,23 @@ _SPECIAL_WORDS = np.array([0x8000, 0x8001, 0x7FFF, 0, 0xFFFF], dtype=np.uint16)
 _HEAD = """\
 # Decoding logs: speed and memory
 
-Written by `python -m bench.decode`. Each log has a million frames: TPDO1 and TPDO2 of 5 or 15 nodes at each SYNC; with
-variable dlc also the SYNC and a foreign frame of 0 to 8 bytes. The methods take turns, each run is a process of its
-own, and the time is the processor's, of the work alone, without start-up; slow methods get the first 200 000 frames.
-Floor: `bench/decode_floor.c`, the same work in one pass of C. Parse, memory: candump text to frames, and to columns in
-memory. asammdf decodes an MF4, without text to parse. LogReader: python-can's reader alone. cantools loop: cantools on
-each line. cantools decode: the command, less its start-up. tipforce decode: the command with all its processes.
-"""
-Runs = dict[str, list[dict[str, float]]]
-"""By method: what each of its runs measured."""
+Written by `python -m bench.decode`. The log has a million frames: TPDO1 and TPDO2 of 15 nodes at each SYNC, the SYNC,
+and a foreign frame of 0 to 8 bytes. The methods take turns, each run is a process of its own, and the time is the
+processor's, of the work alone, without start-up; slow methods get the first 200 000 frames. Floor:
+`bench/decode_floor.c`, the same work in one pass of C. Memory: candump text to columns in memory. asammdf decodes an
+MF4, without text to parse. LogReader: python-can's reader alone. cantools loop: cantools on each line. cantools decode:
+the command, less its start-up. tipforce decode: the command with all its processes."""
+Runs = dict[str, list[dict[str, float]]]  # by method: what each of its runs measured
 
 
-def hand_traffic(count: int, nodes: int, variable: bool, seed: int) -> FrameArray:
-    """``count`` frames: TPDO1 and TPDO2 of ``nodes`` at each SYNC. One value in twenty is unknown or at a limit.
+def hand_traffic(count: int, nodes: int, seed: int) -> FrameArray:
+    """``count`` frames: the SYNC, TPDO1 and TPDO2 of ``nodes``, and a foreign frame of 0 to 8 bytes, in each cycle.
 
-    ``variable``: with the SYNC itself (no data), and a foreign frame of 0 to 8 bytes in each cycle.
+    One value in twenty is unknown or at a limit.
     """
     random = np.random.default_rng(seed)
     ids = [base + node for node in range(1, nodes + 1) for base in (0x180, 0x280)]
-    cycle = np.array([0x080, *ids, 0x5C0] if variable else ids, dtype=np.uint32)
+    cycle = np.array([0x080, *ids, 0x5C0], dtype=np.uint32)
     frames: FrameArray = np.zeros(count, dtype=FRAME)
     number = np.arange(count)
     frames["can_id"] = cycle[number % len(cycle)]
@@ -82,11 +75,9 @@ def hand_traffic(count: int, nodes: int, variable: bool, seed: int) -> FrameArra
     data[:, :6] = values.view(np.uint8)
     data[:, 6] = random.choice(np.array([3, 2, 0, 11, 0x83], dtype=np.uint8), count)
     data[:, 7] = number // len(cycle) % 256
-    frames["length"] = 8
-    if variable:
-        frames["length"][frames["can_id"] == 0x080] = 0
-        foreign = frames["can_id"] == 0x5C0
-        frames["length"][foreign] = random.integers(0, 9, int(foreign.sum()))
+    frames["length"] = np.where(frames["can_id"] == 0x080, 0, 8)
+    foreign = frames["can_id"] == 0x5C0
+    frames["length"][foreign] = random.integers(0, 9, int(foreign.sum()))
     data *= np.arange(8) < frames["length"][:, None]
     return frames
 
@@ -124,33 +115,23 @@ def different_values(count: int) -> tuple[int, int]:
             if set(decoded[0]) != set(samples.columns):
                 raise SystemExit(f"{name}: signals {sorted(samples.columns)}, cantools has {sorted(decoded[0])}")
             for signal in samples.message.signals:
-                theirs = _column([values[signal.name] for values in decoded], signal.scale)
+                digits = max(-math.floor(math.log10(signal.scale)), 0)
+                values = [value[signal.name] for value in decoded]
+                theirs = [math.nan if str(value) == "unknown" else round(float(value), digits) for value in values]
+                ours = samples.columns[signal.name].astype(np.float64)
                 compared += len(theirs)
-                different += _differ(samples.columns[signal.name], theirs)
+                different += int(np.count_nonzero(~np.isclose(ours, theirs, rtol=0.0, atol=0.0, equal_nan=True)))
     return compared, different
 
 
-def _column(values: list[Any], scale: float) -> npt.NDArray[np.float64]:
-    digits = max(-math.floor(math.log10(scale)), 0)
-    return np.array([math.nan if str(value) == "unknown" else round(float(value), digits) for value in values])
-
-
-def _differ(ours: Values, theirs: npt.NDArray[np.float64]) -> int:
-    equal = (ours == theirs) | (np.isnan(ours.astype(np.float64)) & np.isnan(theirs))
-    return int(np.count_nonzero(~equal))
-
-
 class Logs:
-    """The logs of a run: each whole, its first part for the slow, and as MF4; and the runs on them."""
+    """The log of a run: whole, its first part for the slow, and as MF4; and the runs on it."""
 
     def __init__(self, folder: Path, mf4: bool) -> None:
         self.folder, self.mf4 = folder, mf4
         subprocess.run(["gcc", "-O3", "-march=native", "-o", str(folder / "floor"), str(FLOOR)], check=True)
-        self._write("warm_up", hand_traffic(50, 5, True, 0))
-
-    def write(self, nodes: int, variable: bool) -> None:
-        """Write one traffic in all its forms."""
-        traffic = hand_traffic(FRAMES, nodes, variable, 1000 + nodes)
+        self._write("warm_up", hand_traffic(50, 5, 0))
+        traffic = hand_traffic(FRAMES, NODES, 1000 + NODES)
         self._write("all", traffic)
         write_log(self.folder / "part.log", traffic[:SLOW_FRAMES])
 
@@ -175,26 +156,17 @@ class Logs:
             result = {"cpu_s": whole[0] - start[0], "wall_s": whole[1] - start[1]}
         elif method in COMMANDS:
             out = self.folder / f"out.{COMMANDS[method]}"
-            words = ["--json", "--summary"] if COMMANDS[method] is None else ["-o", out]
-            line = [*TIPFORCE, "decode", "-q", log, *words]
+            line = decode_words(COMMANDS[method], log, out)
             result = dict(zip(("cpu_s", "wall_s"), command_s(line, stdout=subprocess.DEVNULL), strict=True))
             if out.exists():
                 result["bytes"] = out.stat().st_size / frames
                 out.unlink()
         else:
-            result = self.in_process(method, log)
+            suffix, python = (".mf4", ASAMMDF_PYTHON) if method == "asammdf" else (".log", sys.executable)
+            paths = [log.with_suffix(suffix), self.folder / f"warm_up{suffix}"]
+            words = [python, "-W", "ignore", "-m", "bench.decode_methods", method, *paths]
+            result = json.loads(subprocess.run(words, check=True, capture_output=True, cwd=ROOT).stdout)
         return {**result, "us": 1e6 * result["cpu_s"] / frames, "wall_us": 1e6 * result.get("wall_s", 0.0) / frames}
-
-    def in_process(self, method: str, log: Path) -> dict[str, float]:
-        """A method of decode_methods in a process of its own."""
-        words = self._method(method, log)
-        result: dict[str, float] = json.loads(subprocess.run(words, check=True, capture_output=True, cwd=ROOT).stdout)
-        return result
-
-    def _method(self, method: str, log: Path) -> list[str | Path]:
-        suffix, python = (".mf4", ASAMMDF_PYTHON) if method == "asammdf" else (".log", sys.executable)
-        paths = [log.with_suffix(suffix), self.folder / f"warm_up{suffix}"]
-        return [python, "-W", "ignore", "-m", "bench.decode_methods", method, *paths]
 
     def _cantools_s(self, log: Path) -> tuple[float, float]:
         with log.open() as stdin:
@@ -202,20 +174,20 @@ class Logs:
             return command_s(words, stdin=stdin, stdout=subprocess.DEVNULL)
 
     def peaks(self, frames: int) -> list[str]:
-        """Peak memory of decoding ``frames`` frames in memory and by each command."""
+        """Peak memory of decoding ``frames`` frames by each command."""
         log = self.folder / "long.log"
-        write_log(self.folder / "part.log", hand_traffic(1_000_000, 15, True, 3))
-        log.write_bytes(b"")
+        write_log(self.folder / "part.log", hand_traffic(1_000_000, NODES, 3))
         with log.open("wb") as file:
             for _ in range(frames // 1_000_000):
                 file.write((self.folder / "part.log").read_bytes())
-        rate, peak = frames / self.in_process("memory", log)["cpu_s"], peak_mb(self._method("memory", log))
-        lines = [f"- in memory: {peak:.0f} MB, {rate / 1e6:.1f} million frames/s"]
-        for name, form in COMMANDS.items():
-            words = ["--json", "--summary"] if form is None else ["-o", self.folder / f"long.{form}"]
-            lines.append(f"- {name}: {peak_mb([*TIPFORCE, 'decode', '-q', log, *words]):.0f} MB")
-        log.unlink()
-        return lines
+        peaks = {name: peak_mb(decode_words(form, log, log.with_suffix(f".{form}"))) for name, form in COMMANDS.items()}
+        return [f"- {name}: {peak:.0f} MB" for name, peak in peaks.items()]
+
+
+def decode_words(form: str | None, log: Path, out: Path) -> list[str | Path]:
+    """The command that decodes a log, to ``out`` or to a summary."""
+    words: list[str | Path] = ["--json", "--summary"] if form is None else ["-o", out]
+    return [*TIPFORCE, "decode", "-q", log, *words]
 
 
 def make_asammdf_environment() -> None:
@@ -229,13 +201,7 @@ def make_asammdf_environment() -> None:
 
 def measure(logs: Logs, methods: Sequence[str]) -> Runs:
     """All methods on one log, in turns."""
-    runs: Runs = {method: [] for method in methods}
-
-    def way(method: str) -> float:
-        runs[method].append(logs.run(method))
-        return runs[method][-1]["us"]
-
-    in_turns({method: lambda method=method: way(method) for method in methods}, ROUNDS)  # type: ignore[misc]
+    runs = in_turns({method: partial(logs.run, method) for method in methods}, ROUNDS)
     _check_sums({method: results[0] for method, results in runs.items()})
     return runs
 
@@ -253,32 +219,21 @@ def _median(runs: Runs, method: str) -> float:
     return statistics.median(result["us"] for result in runs[method])
 
 
-def of_log(title: str, runs: Runs) -> str:
-    """One log's table."""
+def page_table(runs: Runs) -> str:
+    """The table of all methods, and aims beside what was measured."""
     rows = []
     for method, results in runs.items():
         us = _median(runs, method)
         spread = max(abs(result["us"] - us) for result in results) / us
         whole = " (whole process)" if method in (*COMMANDS, "cantools decode") else ""
-        rows.append([method + whole, f"{us:.3f} +- {100 * spread:.0f} %", f"{1e6 / us:,.0f}",
-                     f"{100 * _median(runs, 'floor') / us:.1f} %", f"{us / _median(runs, 'memory'):.2f}"])  # fmt: skip
-    header = ["method", "CPU us a frame", "frames/s", "of the floor", "ours is faster by"]
-    return f"## {title}\n\n{table(header, rows)}\n\n" + "".join(f"{line}\n" for line in _aims(runs))
-
-
-def _aims(runs: Runs) -> list[str]:
-    """Aims and measured figures."""
-    ours = _median(runs, "memory")
-    goals = [("in memory, million frames/s a core", 5.0, 1 / ours),
-             ("in memory, share of the floor", 0.5, _median(runs, "floor") / ours)]  # fmt: skip
+        rows.append([method + whole, f"{us:.3f} +- {100 * spread:.0f} %", f"{us / _median(runs, 'memory'):.2f}"])
+    lines = [f"- {name}: {of[0]['bytes']:.0f} bytes a frame" for name, of in runs.items() if "bytes" in of[0]]
     for name, aim in AIMS.items():
-        if name in runs:
-            times = _median(runs, "cantools decode") / _median(runs, name)
-            goals.append((f"{name}, whole process, times cantools decode", aim, times))
-    sizes = [f"- {name}: {of[0]['bytes']:.0f} bytes a frame" for name, of in runs.items() if "bytes" in of[0]]
-    return sizes + [
-        f"- {what}: aim {aim:g}, measured {x:.2f}{'' if x >= aim else ' (missed)'}" for what, aim, x in goals
-    ]
+        times = _median(runs, "cantools decode") / _median(runs, name)
+        missed = "" if times >= aim else " (missed)"
+        lines.append(f"- {name}, whole process, times cantools decode: aim {aim:g}, measured {times:.2f}{missed}")
+    header = ["method", "CPU us a frame", "ours is faster by"]
+    return table(header, rows) + "\n\n" + "\n".join(lines)
 
 
 def main() -> int:
@@ -292,14 +247,11 @@ def main() -> int:
     mf4 = ASAMMDF_PYTHON.exists()
     methods = (*FAST, *(["asammdf"] if mf4 else []), *COMMANDS, *SLOW)
     with tempfile.TemporaryDirectory() as name:
-        logs, parts = Logs(Path(name), mf4), []
-        for title, (nodes, variable) in LOGS.items():
-            logs.write(nodes, variable)
-            parts.append(of_log(title, measure(logs, methods)))
-        memory = logs.peaks(10_000_000)
-    on = f"\n{machine('numpy', 'cantools', 'python-can', 'pyarrow')}. +- is the largest deviation from the median.\n\n"
-    last = "\n## Memory, 10 million frames\n\n" + "".join(f"{line}\n" for line in memory)
-    write_page("decode-performance", _HEAD + on + "\n".join(parts) + last)
+        logs = Logs(Path(name), mf4)
+        measured, peaks = page_table(measure(logs, methods)), "\n".join(logs.peaks(10_000_000))
+    on = f"{machine('numpy', 'cantools', 'python-can', 'pyarrow')}. +- is the largest deviation from the median."
+    parts = (_HEAD, on, measured, "## Memory, 10 million frames", peaks)
+    write_page("decode-performance", "\n\n".join(parts) + "\n")
     return 0
 
 

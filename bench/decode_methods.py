@@ -23,13 +23,6 @@ _BUS_EVENT_FLAGS = 0x06  # ASAM MDF 4.1, channel group: bus event, plain bus eve
 _FIRST = {"Gauges": "SG1", "Contact": "P"}
 
 
-def parse(log: Path) -> Result:
-    """Text to frames."""
-    from tipforce.host.logs.reader import open_log
-
-    return {"frames": sum(len(block) for block in open_log(log, strict=True))}
-
-
 def memory(log: Path) -> Result:
     """Text to columns, block by block."""
     from tipforce.host.decoding.decoder import Decoder
@@ -125,12 +118,8 @@ def write_mf4(path: Path, frames: FrameArray) -> None:
 
 
 METHODS: dict[str, Callable[[Path], Result]] = {
-    "parse": parse,
-    "memory": memory,
-    "LogReader": log_reader,
-    "cantools loop": cantools_loop,
-    "asammdf": asammdf,
-}
+    "memory": memory, "LogReader": log_reader, "cantools loop": cantools_loop, "asammdf": asammdf,
+}  # fmt: skip
 
 
 def main() -> None:

@@ -1,8 +1,7 @@
-"""The documents that are made: every command with its flags and the exit codes, from the parsers; the counts of the
-conformance cases; verdict and recommendations of a finished report.
+"""The documents that are made.
 
-    python -m bench.documents generated    docs/commands.md, counts in docs/conformance.md (`make generate`)
-    python -m bench.documents report       of `make report`, in docs/report.md
+python -m bench.documents generated    docs/commands.md, counts in docs/conformance.md (`make generate`)
+python -m bench.documents report       verdict and recommendations of `make report`, in docs/report.md
 """
 
 import argparse

@@ -1,8 +1,7 @@
 """A node for a day: `python -m bench.endurance`. Memory must not grow, and no counter may drift.
 
-The node's own loop runs on a clock that is moved and not waited for. SYNCs come ten times a second, the gauges are an
-Industrial I/O source whose devices are played; once an hour one is pulled out for a second, a gauge saturates, the
-bus loses a SYNC and the calibration is stored. Each simulated hour's memory is compared with that of the first.
+The node's own loop runs on a clock that is moved and not waited for, on an Industrial I/O source whose devices are
+played. Once an hour one is pulled out for a second, a gauge saturates, the bus loses a SYNC, the calibration is stored.
 """
 
 import gc
@@ -28,23 +27,19 @@ NODE_ID = 5
 SYNC_US, HEARTBEAT_US, HOUR_US = 100_000, 1_000_000, 3_600_000_000
 ZERO, ENDS = 2048, (0, 4095)
 OUTAGE_US, HOURS = 1_000_000, 24
-_STORE = b"\x23\x10\x10\x01save"
 
 
 class Hour(NamedTuple):
     """What was found after an hour."""
 
-    blocks: int
-    """Memory blocks that Python holds."""
+    blocks: int  # memory blocks that Python holds
     resident_kb: int
     syncs: int
     heartbeats: int
-    samples: int
-    """Counter steps that the PDOs showed, wraps added up."""
+    samples: int  # counter steps that the PDOs showed, wraps added up
     emcys: int
     log_lines: int
-    late_us: int
-    """The largest difference between a PDO and its SYNC, of a heartbeat and its second."""
+    late_us: int  # the largest difference between a PDO and its SYNC, of a heartbeat and its second
 
 
 class Gauge(PolledDevice):
@@ -104,7 +99,7 @@ class Bus:
         self._gauges[1].trouble = "gone" if into_us // OUTAGE_US == 600 else ""
         self._gauges[2].trouble = "end" if into_us // SYNC_US == 12_000 else ""
         if into_us // SYNC_US == 18_000:
-            self._pending.append((0x600 + NODE_ID, _STORE))
+            self._pending.append((0x600 + NODE_ID, b"\x23\x10\x10\x01save"))
         if into_us // SYNC_US == 24_000:
             return None  # this SYNC is lost
         self.syncs += 1

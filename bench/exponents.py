@@ -1,7 +1,6 @@
 """Cost against work, as exponents: processor time over frames, nodes, gauges, fingers and parts of a dataset.
 
-    python -m bench.exponents            five lines for docs/performance.md; some minutes
-    python -m bench.exponents --quick    a tenth of the most frames and parts
+    python -m bench.exponents    five lines for docs/performance.md; some minutes
 
 The exponent is the slope of log cost over log work by least squares: 1 where cost is proportional to work, less where a
 constant part counts. The range is that of the slopes of single rounds; within a round, the sizes take turns.
@@ -33,7 +32,7 @@ CONTACT = bytes.fromhex("84032823401f03")  # 0.9 N, 90 and 80 degrees, status; t
 def frames(folder: Path, count: int) -> Callable[[], float]:
     """Return the processor time of the summary of a log."""
     log = folder / f"{count}.log"
-    write_log(log, hand_traffic(count, 5, True, 1))
+    write_log(log, hand_traffic(count, 5, 1))
     return lambda: command_s([*TIPFORCE, "decode", "--summary", "-q", "-o", "-", log], stdout=-3)[0]
 
 
@@ -85,24 +84,22 @@ def row(name: str, sizes: Sequence[int], work: Callable[[int], Callable[[], floa
     in_turns(ways, 1)
     costs = list(zip(*in_turns(ways, rounds).values(), strict=True))
     slopes = sorted(exponent(sizes, round_) for round_ in costs)
-    least, most = statistics.median(c[0] for c in costs), statistics.median(c[-1] for c in costs)
     middle = exponent(sizes, [statistics.median(column) for column in zip(*costs, strict=True)])
-    each = f"{1e6 * least / sizes[0]:.3g}; {1e6 * most / sizes[-1]:.3g}"
-    return [name, f"{sizes[0]} to {sizes[-1]}", each, f"{middle:.2f} ({slopes[0]:.2f} to {slopes[-1]:.2f})"]
+    return [name, f"{sizes[0]} to {sizes[-1]}", f"{middle:.2f} ({slopes[0]:.2f} to {slopes[-1]:.2f})"]
 
 
 def main() -> None:
-    quick, sizes = arguments(__doc__, "--quick").parse_args().quick, [10**5, 10**6, 10**7]
+    arguments(__doc__).parse_args()
     with tempfile.TemporaryDirectory() as folder:
         rows = [
-            row("frames: `decode --summary`", sizes[: 2 if quick else 3], partial(frames, Path(folder)), 3),
+            row("frames: `decode --summary`", [10**5, 10**6, 10**7], partial(frames, Path(folder)), 3),
             row("nodes: 40 SYNCs", [1, 4, 16, 64, 127], nodes, 5),
             row("gauges: 2000 contacts", list(range(3, 9)), gauges, 5),
             row("fingers: 500 live rows", [1, 2, 5, 10, 15], fingers, 5),
-            row("parts of a dataset: manifest", [10, 100, 1000, 10**4][: 3 if quick else 4], parts, 3),
+            row("parts of a dataset: manifest", [10, 100, 1000, 10**4], parts, 3),
         ]
     print(machine())
-    print(table(["work", "sizes", "us of one, at the least and the most", "exponent"], rows))
+    print(table(["work", "sizes", "exponent"], rows))
 
 
 if __name__ == "__main__":

@@ -1,9 +1,6 @@
-"""The exported C estimator: agreement with Python over random samples, and its size on a Cortex-M4.
+"""`python -m bench.export_c`: the exported C estimator: agreement with Python, and its size on a Cortex-M4.
 
-    python -m bench.export_c    a million samples (minutes), and the sizes
-
-Every sample is held to the bound derived in tests/export_c/estimators.py; the first one beyond it ends the run. Sizes
-want arm-none-eabi-gcc (apt: gcc-arm-none-eabi, libnewlib-arm-none-eabi); without it they are left out, and it says so.
+Every sample is held to the bound derived in tests/export_c/estimators.py; the first one beyond it ends the run.
 """
 
 import shutil

@@ -49,12 +49,9 @@ class Rate:
     size: float
     gauge: str
     detected: float
-    isolated: float
-    """The right gauge named, alone."""
-    wrong: float
-    """Another gauge named, alone."""
-    among: float
-    """The right gauge among those that cannot be told apart, of the detected ones."""
+    isolated: float  # the right gauge named, alone
+    wrong: float  # another gauge named, alone
+    among: float  # the right gauge among those that cannot be told apart, of the detected ones
 
 
 def pushes(rng: np.random.Generator, count: int, P_newtons: float) -> FloatArray:
@@ -154,10 +151,9 @@ def weights(calibrations: int) -> dict[str, tuple[float, float]]:
 
 
 def separation(model: Parity) -> FloatArray:
-    """The sine of the angle between the parity directions of each two gauges: (n, n), 0 to 1.
+    """The sine of the angle between the parity directions of each two gauges (n, n); NaN of invisible ones.
 
-    0: the two cannot be distinguished. Small: only by a fault that is larger by 1 / sine than the smallest visible
-    one. NaN for gauges whose faults are invisible.
+    0: the two cannot be distinguished. Small: only by a fault larger by 1 / sine than the smallest visible one.
     """
     length = np.sqrt(np.where(model.visible > 0.0, model.visible, np.nan))
     cosine = (model.W / length).T @ (model.W / length)

@@ -3,8 +3,6 @@
 python -m bench.fem                    everything, as the Markdown tables of docs/finite-elements.md (minutes)
 python -m bench.fem --quick            small meshes
 python -m bench.fem -o docs/figures    writes fem-outline.png and fem-work-precision.png too
-
-Nothing here is random. Times are of this machine, the least of three.
 """
 
 from __future__ import annotations
@@ -47,10 +45,8 @@ class Level(NamedTuple):
     unknowns: int
     seconds: float
     conditions: list[float]
-    matrix: FloatArray
-    """(5, 3): rows GAUGES."""
-    point_strain: float
-    """Strain per newton of F2 at S itself, from the side of the mesh that ends there."""
+    matrix: FloatArray  # (5, 3): rows GAUGES
+    point_strain: float  # strain per newton of F2 at S itself, from the side of the mesh that ends there
 
 
 class Convergence(NamedTuple):
@@ -130,11 +126,7 @@ def conditions_at(solution: Solution, moved: dict[str, GaugePosition] | None = N
     return conditions(strain_matrix(solution, [places[point] for point in GAUGES]))
 
 
-Variants = dict[str, list[float]]
-"""The condition numbers of cases I, II, III by body or placing of gauges."""
-
-
-def outline_variants(cells: int) -> Variants:
+def outline_variants(cells: int) -> dict[str, list[float]]:
     """How the outline's unstated parts move the condition numbers, gauges where they fit."""
     mm = 1e-3
     bodies = {
@@ -161,7 +153,7 @@ def outer_gauges(position_m: float) -> dict[str, GaugePosition]:
     return {"L": GaugePosition("H", "left", position_m), "R": GaugePosition("H", "right", position_m)}
 
 
-def gauge_variants(solution: Solution) -> Variants:
+def gauge_variants(solution: Solution) -> dict[str, list[float]]:
     """L and R elsewhere; K, S and U further from their corners; gauges of other lengths, each beginning at its corner.
 
     The others are where they fit, 1 mm long. Beyond 14.5 mm a part of the gauge is glued under the leg.
@@ -232,8 +224,7 @@ def one_body(cells: int) -> tuple[float, float, list[float]]:
 class Miss(NamedTuple):
     """The best that places alone can do for the measured column."""
 
-    places_mm: tuple[float, ...]
-    """L, R, K, S from the middle of the joint, U from its underside."""
+    places_mm: tuple[float, ...]  # L, R, K, S from the middle of the joint, U from its underside
     conditions: list[float]
     worst: float
 
@@ -253,7 +244,7 @@ def best_for_measured(solution: Solution, steps: int) -> Miss:
     return Miss(at, conditions(np.array([rows[point][best[point]] for point in GAUGES])), worst)
 
 
-def variant_table(variants: Variants) -> str:
+def variant_table(variants: dict[str, list[float]]) -> str:
     rows = [[what, *(f"{value:.3f}" for value in conditions)] for what, conditions in variants.items()]
     return table(["", "I", "II", "III"], rows)
 
@@ -414,10 +405,10 @@ def work_precision_figure(
     for run, marker in zip(runs, "so^dv", strict=False):
         seconds = [level.seconds for level in run.levels]
         label = "uniform" if run.grading == 1.0 else f"graded, {run.grading:g}"
-        left.loglog(
-            seconds, [worst_error(level.conditions, condition) for level in run.levels], marker=marker, label=label
-        )
-        right.loglog(seconds, [distance(level.matrix, matrix) for level in run.levels], marker=marker, label=label)
+        of_conditions = [worst_error(level.conditions, condition) for level in run.levels]
+        of_strains = [distance(level.matrix, matrix) for level in run.levels]
+        for axes, errors in ((left, of_conditions), (right, of_strains)):
+            axes.loglog(seconds, errors, marker=marker, label=label)
     titles = ("condition number, worst of I, II, III", "strain matrix, Frobenius norm")
     for axes, title, error in zip((left, right), titles, known, strict=True):
         axes.axhspan(axes.get_ylim()[0], error, color="#dddddd", zorder=0)

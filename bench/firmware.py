@@ -2,35 +2,26 @@
 
     python -m bench.firmware
 
-MicroPython is the WebAssembly build under Node.js that the tests use (`make test` installs it). Its heap has pointers
-of 32 bits as a microcontroller's; its speed is that of this machine, and its times hold no collection of garbage. The
-firmware has three NAU7802 and an MCP2515 as fakes: what they take is not counted, but the time they need is.
+MicroPython is the WebAssembly build that the tests use: its heap has pointers of 32 bits as a microcontroller's, its
+speed is that of this machine, and its times hold no collection of garbage. Of the fakes of three NAU7802 and an MCP2515
+the time counts, the heap does not.
 """
 
 import statistics
 import sys
-from dataclasses import asdict
 from pathlib import Path
 
-import numpy as np
 from bench.firmware_image import contents
 from bench.measure import ROOT, arguments, table
 
 REPEATS, WARM_UP = 7, 1  # this MicroPython has a clock of milliseconds
-STEPS, ROUNDS = 2000, 500
-LEVELS = (0, 3)  # -O1 and -O2 leave out assert statements, and there are none
-FAR_US = 1 << 41  # 25 days after power-on: integers beyond 2^30 live on MicroPython's heap
-# What is timed of the node: name, frame, the clock at the beginning.
-TIMED: tuple[tuple[str, int, str, int], ...] = (
-    ("SYNC, two TPDOs", 0x080, "", 20_000_000),
-    ("SDO upload 1018h:1", 0x605, "4018100100000000", 60_000_000),
-    ("SDO upload 6130h:7, live", 0x605, "4030610700000000", 100_000_000),
-    ("SDO download 2101h:1", 0x605, "2301210100000000", 140_000_000),
-    ("SYNC, two TPDOs, after 25 days", 0x080, "", FAR_US),
-)
+STEPS, ROUNDS, START_US = 2000, 500, 20_000_000
+SYNC = 0x080, b""
 NOT_COMPILED = ("main", "main_mcp2515")  # sources on the board
 MODULES = "app", "can_port", "can_mcp2515", "nau7802", "source"  # of this board; the others have the rest
 BUILD = """
+drivers = [Nau7802(nau) for nau in naus]
+port = Mcp2515(bus, bus.cs, 500000)
 node = Firmware(5, Gauges(drivers, 1024.0), port, FlashStore(slots), 1, Clock(clock.ticks, clock.diff))
 node.poll()
 bus.coming.append((0, b'\\1\\0'))
@@ -62,40 +53,35 @@ from firmware.nau7802 import Nau7802
 from firmware.source import Gauges
 import tipforce.fingertip.node
 """
-DRIVERS = "drivers = [Nau7802(nau) for nau in naus]\nport = Mcp2515(bus, bus.cs, 500000)"
 
 
-def node_us() -> dict[str, tuple[float, float]]:
-    """Microseconds per step, the median of the repeats, in MicroPython and CPython and on the same node."""
+def sync_us() -> tuple[float, float]:
+    """Microseconds of a SYNC with two TPDOs, the median of the repeats, in MicroPython and in CPython."""
     from micropython import engine, footprint, on_node
 
     talk = footprint.ready_node()
     files = engine.compiled(3) | engine.program() | {"/ready": talk.recording.text().encode()}
     calls = ["import sys", f"sys.path.append({engine.LIBRARY!r})", "import on_node", *footprint.bring_up(talk)]
     here: list[float] = []
-    for _name, can_id, data, start_us in TIMED:
-        frame = (can_id, bytes.fromhex(data))
-        for repeat in range(WARM_UP + REPEATS):
-            now_us = start_us + 1000 * STEPS * repeat
-            here.append(on_node.microseconds(talk.recorded.device, frame, STEPS, now_us))
-            calls.append(f"print('time', on_node.microseconds(replay.device, {frame!r}, {STEPS}, {now_us}))")
+    for repeat in range(WARM_UP + REPEATS):
+        now_us = START_US + 1000 * STEPS * repeat
+        here.append(on_node.microseconds(talk.recorded.device, SYNC, STEPS, now_us))
+        calls.append(f"print('time', on_node.microseconds(replay.device, {SYNC!r}, {STEPS}, {now_us}))")
     there = [float(line.split()[1]) for line in engine.run(files, calls) if line.startswith("time")]
-    times = np.reshape([there, here], (2, len(TIMED), WARM_UP + REPEATS))
-    medians = np.median(times[:, :, WARM_UP:], axis=2).T.tolist()
-    return {name: (of_there, of_here) for (name, *_), (of_there, of_here) in zip(TIMED, medians, strict=True)}
+    return statistics.median(there[WARM_UP:]), statistics.median(here[WARM_UP:])
 
 
 def around_the_loop() -> tuple[dict[str, int], dict[str, float]]:
     """(bytes of heap, microseconds once around the firmware's loop)."""
     from micropython import engine
 
-    files = {f"{engine.LIBRARY}/{path}": code for path, code in _files(3).items()}
+    files = {f"{engine.LIBRARY}/{path}": code for path, code in _files().items()}
     for name in ("fakes.py", "fake_controllers.py"):
         fakes = Path(engine.__file__).parents[1] / "microcontroller" / name
         files[f"{engine.LIBRARY}/microcontroller/{name}"] = fakes.read_bytes()
     count = "import gc\nprint('heap', gc.mem_alloc())"
-    calls = ["import sys", f"sys.path.append({engine.LIBRARY!r})", PREPARE, "import gc", count, IMPORT, count, DRIVERS,
-             BUILD, count, "around(3000, 1000, False)", count]  # fmt: skip
+    calls = ["import sys", f"sys.path.append({engine.LIBRARY!r})", PREPARE, "import gc", count, IMPORT, count, BUILD,
+             count, "around(3000, 1000, False)", count]  # fmt: skip
     for name, step_us, sync in (("nothing to do", 500, False), ("new reading, SYNC, two TPDOs", 4000, True)):
         calls += [f"print('time', '{name}:', around({ROUNDS}, {step_us}, {sync}))"] * (REPEATS + 1)
     lines = engine.run(files, calls)
@@ -110,15 +96,15 @@ def around_the_loop() -> tuple[dict[str, int], dict[str, float]]:
     return held, {name: statistics.median(us[1:]) for name, us in times.items()}
 
 
-def _files(level: int) -> dict[str, bytes]:
+def _files() -> dict[str, bytes]:
     """The node's files, the firmware's and the loader's, compiled, by their place on the board."""
     import tipforce_loader
     from micropython import engine
 
-    compiled = {path: code for path, code in contents(level).items() if Path(path).stem not in NOT_COMPILED}
+    compiled = {path: code for path, code in contents().items() if Path(path).stem not in NOT_COMPILED}
     for path in sorted(Path(str(tipforce_loader.__file__)).parent.glob("*.py")):
         if path.stem not in ("__init__", "build", *NOT_COMPILED):
-            compiled[f"tipforce_loader/{path.stem}.mpy"] = engine.compile_file(path, level)
+            compiled[f"tipforce_loader/{path.stem}.mpy"] = engine.compile_file(path, 3)
     return compiled
 
 
@@ -128,31 +114,21 @@ def main() -> None:
     sys.path.insert(0, str(ROOT / "tests"))
     from micropython import engine, footprint
 
-    levels = [{path: len(code) for path, code in _files(level).items()} for level in LEVELS]
-    sizes = {name: [level[name] for level in levels] for name in sorted(levels[-1])}
+    sizes = {path: len(code) for path, code in _files().items()}
     totals = {
-        "drivers of this board": [f"firmware/{name}.mpy" for name in MODULES],
-        "the loader": [name for name in sizes if name.startswith("tipforce_loader/")],
-        "the node itself (tipforce/)": [name for name in sizes if name.startswith("tipforce/")],
+        "drivers of this board": sum(sizes[f"firmware/{name}.mpy"] for name in MODULES),
+        "the node itself (tipforce/)": sum(size for name, size in sizes.items() if name.startswith("tipforce/")),
     }
-    for what, names in totals.items():
-        sizes[what] = [sum(column) for column in zip(*(sizes[name] for name in names), strict=True)]
-    files = {"sources": engine.sources(), ".mpy -O0": engine.compiled(0), ".mpy -O3": engine.compiled(3)}
-    heap = {name: asdict(footprint.heap(of_kind)) for name, of_kind in files.items()}
     loop_heap, loop_us = around_the_loop()
-    for header, rows in (
-        (["code size, bytes of .mpy", *(f"-O{level}" for level in LEVELS)],
-         [[name, *map(str, size)] for name, size in sizes.items()]),
-        (["the node: heap in use, bytes", *heap],
-         [[field.replace("_", " "), *(str(of_kind[field]) for of_kind in heap.values())] for field in heap["sources"]]),
-        (["the node: time, us", "MicroPython", "CPython", "ratio"],
-         [[name, f"{there:.1f}", f"{here:.1f}", f"{there / here:.1f}"] for name, (there, here) in node_us().items()]),
-        (["the firmware: heap in use, bytes", "loaded from files"],
-         [[name, str(size)] for name, size in loop_heap.items()]),
-        (["the firmware: us once around its loop, on this PC", "fakes included"],
-         [[name, f"{us:.0f}"] for name, us in loop_us.items()]),
-    ):  # fmt: skip
-        print(table(header, rows, markdown=False), end="\n\n")
+    times_us = dict(zip(("SYNC, two TPDOs: MicroPython", "CPython"), sync_us(), strict=True)) | loop_us
+    for header, figures in (
+        ("bytes of .mpy at -O3", totals),
+        ("the node from sources: bytes of heap", vars(footprint.heap(engine.sources()))),
+        ("the firmware from files: bytes of heap", loop_heap),
+        ("us on this PC; of the firmware once around its loop, fakes included", times_us),
+    ):
+        rows = [[name.replace("_", " "), f"{figure:.0f}"] for name, figure in figures.items()]
+        print(table([header, ""], rows, markdown=False), end="\n\n")
 
 
 if __name__ == "__main__":

@@ -38,10 +38,6 @@ ROUND_FRAMES = 2500
 MEMORY_ROUNDS = 40  # one round of so many runs under tracemalloc, which makes it several times slower
 MEMORY_LIMIT_BYTES = 400_000  # what the node's own code may hold at the end of a round: dictionary, routes, buffers
 TPDOS = 4
-# One frame: an SDO block, or every TPDO on a SYNC, or a boot-up message and an LSS answer.
-MOST_PER_FRAME = MAX_BLOCK + TPDOS
-# Time alone: each TPDO's event, one heartbeat, one EMCY, one SDO abort or acknowledgement.
-MOST_PER_STEP = TPDOS + 3
 STATES = (codes.INITIALISING, codes.STOPPED, codes.OPERATIONAL, codes.PRE_OPERATIONAL)
 STRAIN_PER_NEWTON = ((8e-5, 1e-5, -2e-5), (-1e-5, 9e-5, 3e-5), (2e-5, -3e-5, 7e-5))
 MOST_BUFFERED = max(MAX_DOWNLOAD_BYTES, 5000) + 7
@@ -68,16 +64,13 @@ class Rig:
         self._stepped = simulated or device
         self.now_us = self.due_us = now_us
         self.sdo_answers = 0  # in the last step
-        self.longest_s = 0.0
 
     def step(self, step: Step) -> list[Frame]:
         """Let time pass, hand the frames over, and check what is sent, which is returned."""
         pause_us, frames = step
         self.now_us += pause_us
         self.device.requests.clear()
-        started_s = time.perf_counter()
         sent, self.due_us = self._stepped.step(self.now_us, frames)
-        self.longest_s = max(self.longest_s, time.perf_counter() - started_s)
         require(self.due_us >= self.now_us, f"due {self.due_us} before now {self.now_us}")
         most = self.most_per_step + self.most_per_frame * len(frames)
         require(len(sent) <= most, f"{len(sent)} frames sent at once")
@@ -92,7 +85,10 @@ class Rig:
 class FingertipRig(Rig):
     """One node of a round, its store, and the invariants. ``number`` and ``seed`` determine how it starts."""
 
-    most_per_step, most_per_frame = MOST_PER_STEP, MOST_PER_FRAME
+    most_per_step = (
+        TPDOS + 3
+    )  # time alone: each TPDO's event, one heartbeat, one EMCY, one SDO abort or acknowledgement
+    most_per_frame = MAX_BLOCK + TPDOS  # an SDO block, or every TPDO on a SYNC, or a boot-up message and an LSS answer
 
     def __init__(self, seed: int, number: int) -> None:
         rng = Random(f"{seed} {number} start")
@@ -189,8 +185,8 @@ class FingertipRig(Rig):
             require(size <= most, f"{size} {what}, allowed are {most}")
 
 
-def play(seed: int, number: int, frames: int, history: list[Step]) -> tuple[int, float]:
-    """One round: (frames thrown, longest step in seconds). ``history`` receives the steps as they are made."""
+def play(seed: int, number: int, frames: int, history: list[Step]) -> int:
+    """One round: frames thrown. ``history`` receives the steps as they are made."""
     rig = FingertipRig(seed, number)
     source, thrown = Frames(Random(f"{seed} {number} frames"), rig), 0
     while thrown < frames:
@@ -198,18 +194,18 @@ def play(seed: int, number: int, frames: int, history: list[Step]) -> tuple[int,
         history.append(step)
         rig.step(step)
         thrown += len(step[1])
-    return thrown, rig.longest_s
+    return thrown
 
 
-def play_measured(seed: int, number: int, frames: int, history: list[Step]) -> tuple[int, float]:
-    """The same with an eye on the memory that the node's own code holds; its time does not count."""
+def play_measured(seed: int, number: int, frames: int, history: list[Step]) -> int:
+    """The same with an eye on the memory that the node's own code holds."""
     tracemalloc.start()
     try:
-        thrown, _ = play(seed, number, frames, history)
+        thrown = play(seed, number, frames, history)
         code = [tracemalloc.Filter(True, f"*/{name}/*") for name in ("canopen_device", "tipforce")]
         held = sum(trace.size for trace in tracemalloc.take_snapshot().filter_traces(code).traces)
         require(held <= MEMORY_LIMIT_BYTES, f"the node holds {held} bytes")
-        return thrown, 0.0
+        return thrown
     finally:
         tracemalloc.stop()
 
@@ -258,18 +254,17 @@ def report(seed: int, number: int, history: list[Step]) -> str:
     return "\n".join(lines)
 
 
-def rounds(seed: int, numbers: range, frames: int = ROUND_FRAMES, measure: bool = True) -> tuple[int, float, str]:
-    """Play rounds until one fails: (frames thrown, longest step in seconds, the report of the failure)."""
-    thrown, longest_s = 0, 0.0
+def rounds(seed: int, numbers: range, frames: int = ROUND_FRAMES, measure: bool = True) -> tuple[int, str]:
+    """Play rounds until one fails: (frames thrown, the report of the failure)."""
+    thrown = 0
     for number in numbers:
         history: list[Step] = []
         player = play_measured if measure and number % MEMORY_ROUNDS == 0 else play
         try:
-            more, round_longest_s = player(seed, number, frames, history)
+            thrown += player(seed, number, frames, history)
         except Exception:
-            return thrown, longest_s, report(seed, number, history)
-        thrown, longest_s = thrown + more, max(longest_s, round_longest_s)
-    return thrown, longest_s, ""
+            return thrown, report(seed, number, history)
+    return thrown, ""
 
 
 def fuzz_file(path: Path, steps: int, seed: int) -> int:
@@ -309,11 +304,10 @@ def main() -> int:
     with multiprocessing.Pool(len(parts)) as pool:
         results = pool.starmap(rounds, [(options.seed, part) for part in parts])
     took_s = time.perf_counter() - started_s
-    counts, longest_s, reports = zip(*results, strict=True)
+    counts, reports = zip(*results, strict=True)
     thrown, failures = sum(counts), list(filter(None, reports))
     print(f"{machine()}; {len(parts)} processes, seed {options.seed}")
     print(f"{thrown} frames in {took_s:.1f} s: {thrown / took_s:.0f} frames/s, {len(failures)} failures")
-    print(f"longest step {1e3 * max(longest_s):.1f} ms, scheduling of this machine included")
     print("\n".join(failures))
     return 1 if failures else 0
 

@@ -1,7 +1,6 @@
 """What the frame fuzzer throws at a node: whole conversations, broken ones, and noise.
 
-``Frames.next()`` gives the next step of one round as (microseconds to pass, frames). All of it follows from the
-``Random`` that is handed in and from what the node answered, so a round can be repeated from its seed.
+All of it follows from the ``Random`` that is handed in and from what the node answered: a seed repeats a round.
 """
 
 import binascii
@@ -61,10 +60,8 @@ class Target(Protocol):
 
     device: Device
     now_us: int
-    due_us: int
-    """When it asked to be stepped."""
-    sdo_answers: int
-    """In its last step."""
+    due_us: int  # when it asked to be stepped
+    sdo_answers: int  # in its last step
 
 
 class Frames:
@@ -93,7 +90,7 @@ class Frames:
         )  # fmt: skip
 
     def next(self) -> Step:
-        """The next step: mostly one frame, sometimes none or several, after some time."""
+        """The next step, (microseconds to pass, frames): mostly one frame, sometimes none or several."""
         r = self._rng.random()
         if r < 0.03:
             return self._pause(), ()

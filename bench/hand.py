@@ -15,14 +15,13 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from math import inf, nan
 from pathlib import Path
 from statistics import median
 from types import SimpleNamespace
-from typing import cast
+from typing import NamedTuple, cast
 from unittest import mock
 
 import numpy as np
@@ -62,23 +61,17 @@ def brought_up(
         yield hand
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """One run."""
+class Outcome(NamedTuple):
+    """One run: values, and milliseconds from SYNC to row in the consumer's hands; its events, but those of a start."""
 
-    fingers: int
-    sync_hz: float
-    seconds: float
+    row: list[str]  # by HEADER
     statistics: Statistics
-    incomplete: int
-    """Rows with at least one finger missing."""
-    latency_us: tuple[float, float, float]
-    """SYNC to row in the consumer's hands: p50, p99, largest."""
-    host_cpu: float
-    """Share of a core."""
-    fingers_cpu: float
+    latency_ms: tuple[float, float, float]
     events: tuple[str, ...]
-    """Other than those of a start."""
+
+
+HEADER = ["hand", "seconds", "values", "stale", "missing", "late", "mixed", "dropped", "latency p50", "p99", "largest",
+          "CPU host"]  # fmt: skip
 
 
 def measure(fingers: int, sync_hz: float, seconds: float, realtime: bool = False) -> Outcome:
@@ -88,14 +81,13 @@ def measure(fingers: int, sync_hz: float, seconds: float, realtime: bool = False
     try:
         with tempfile.TemporaryDirectory() as folder, brought_up(Path(folder), names, plan, link=link) as hand:
             hand.events()
-            latency_ns, incomplete, meter = list[np.ndarray](), 0, Meter()
+            latency_ns, meter = list[np.ndarray](), Meter()
             blocks = hand.blocks(60.0)  # a loaded machine starts the process that sends the SYNC late
             hand.start()
             for rows in blocks:
                 if not latency_ns:  # the process that sends the SYNC has started
                     meter = Meter()
                 latency_ns.append(time.time_ns() - rows.sync_ns)
-                incomplete += int(rows.missing.any(axis=1).sum())
                 if meter.elapsed_s >= seconds:
                     break
             elapsed_s, cpu_share = meter.elapsed_s, meter.share
@@ -103,11 +95,14 @@ def measure(fingers: int, sync_hz: float, seconds: float, realtime: bool = False
             statistics, events = hand.statistics(), tuple(str(event) for event in hand.events())
     finally:
         link.close()
-    p50, p99, largest = np.percentile(np.concatenate(latency_ns), (50, 99, 100)) / 1e3
-    return Outcome(
-        fingers, sync_hz, elapsed_s, statistics, incomplete, (p50, p99, largest), cpu_share,
-        link.fingers_cpu_s / elapsed_s, events,
-    )  # fmt: skip
+    p50, p99, largest = np.percentile(np.concatenate(latency_ns), (50, 99, 100)) / 1e6
+    tally = statistics.tally
+    row = [
+        f"{fingers} at {sync_hz:g} Hz", f"{elapsed_s:.0f}", str(tally.rows * fingers),
+        *(str(int(count.sum())) for count in (tally.repeated, tally.missing, tally.late, tally.mixed)),
+        str(statistics.dropped), f"{p50:.2f}", f"{p99:.2f}", f"{largest:.1f}", f"{cpu_share:.0%}",
+    ]  # fmt: skip
+    return Outcome(row, statistics, (p50, p99, largest), events)
 
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
@@ -189,9 +184,8 @@ def running_rows(rows: int, receives: bool = True) -> int:
     contacts = RowContacts(hand.node_ids, FINGERS, [CALIBRATION] * len(FINGERS))
     made = hand._delivery.rows(partial(rows_one_by_one, contacts=contacts), 0.0)
     hand._probe_s, newtons, count = inf, 0.0, 0  # no finger is lost
-    clock = SimpleNamespace(
-        monotonic=lambda: 1e-3 * count, time_ns=time.time_ns
-    )  # a row a millisecond, also in valgrind
+    # A row a millisecond, also in valgrind.
+    clock = SimpleNamespace(monotonic=lambda: 1e-3 * count, time_ns=time.time_ns)
     with mock.patch.object(hand_module, "time", clock):
         for row in range(rows):
             link.feed(row)
@@ -202,17 +196,14 @@ def running_rows(rows: int, receives: bool = True) -> int:
     return count
 
 
-def row_costs() -> list[list[str]]:
-    """Microseconds of processor time a row, and what each way costs of plain struct code's; taken in turns."""
-    found = []
-    for frames_a_call in (6, 1):
-        frames = row_frames(1000)
-        calls = [frame_array(frames[at : at + frames_a_call]) for at in range(0, len(frames), frames_a_call)]
-        ways = {"plain struct": plain_rows, "tipforce": product_rows}
-        figures = in_turns({name: partial(cpu_us, partial(way, calls)) for name, way in ways.items()}, 15)
-        plain, ours = (median(us) for us in figures.values())
-        found.append([str(frames_a_call), f"{plain:.2f}", f"{ours:.2f}", f"{ours / plain:.2f}"])
-    return found
+def row_costs() -> str:
+    """Microseconds of processor time a row with six frames a call, by plain struct code and by tipforce, in turns."""
+    frames = row_frames(1000)
+    calls = [frame_array(frames[at : at + 6]) for at in range(0, len(frames), 6)]
+    ways = {"plain struct": plain_rows, "tipforce": product_rows}
+    figures = in_turns({name: partial(cpu_us, partial(way, calls)) for name, way in ways.items()}, 15)
+    plain, ours = (median(us) for us in figures.values())
+    return f"plain struct {plain:.2f} us a row, tipforce {ours:.2f}: {ours / plain:.2f} times"
 
 
 def instructions() -> float:
@@ -227,25 +218,6 @@ def instructions() -> float:
     return (both - sent) / 500
 
 
-def row(outcome: Outcome) -> list[str]:
-    """A row of the table of losses."""
-    tally = outcome.statistics.tally
-    names = "delayed", "repeated", "missing", "late", "mixed", "doubtful"
-    p50, p99, largest = outcome.latency_us
-    return [
-        f"{outcome.fingers} at {outcome.sync_hz:g} Hz", f"{outcome.seconds:.0f}", str(tally.rows),
-        str(tally.rows * outcome.fingers), *(str(int(getattr(tally, name).sum())) for name in names),
-        str(outcome.incomplete), str(outcome.statistics.dropped), str(outcome.statistics.overrun),
-        f"{p50 / 1e3:.2f}", f"{p99 / 1e3:.2f}", f"{largest / 1e3:.1f}",
-        f"{100 * outcome.host_cpu:.0f}%", f"{100 * outcome.fingers_cpu:.0f}%",
-    ]  # fmt: skip
-
-
-HEADER = ["hand", "seconds", "rows", "values", "delayed", "stale", "missing", "late", "mixed", "doubtful",
-          "rows not whole", "dropped", "overrun", "latency p50", "p99", "largest", "CPU host",
-          "CPU fingers"]  # fmt: skip
-
-
 def main() -> int:
     parser = arguments(__doc__, "--realtime")
     parser.add_argument("--rows", action="store_true", help="only what a row costs")
@@ -256,7 +228,7 @@ def main() -> int:
         running_rows(args.step or args.step_sent, bool(args.step))
         return 0
     if args.rows:
-        print(table(["frames a call", "plain struct, us a row", "tipforce", "ratio"], row_costs(), markdown=False))
+        print(row_costs())
         if shutil.which("valgrind"):
             print(f"{instructions():,.0f} instructions a row, from the socket to row['thumb'].P_newtons")
         return 0
@@ -268,7 +240,7 @@ def main() -> int:
         print(*outcomes[-1].events[:10], sep="\n", flush=True)
     options = " --realtime" if args.realtime else ""
     written = f"Written by `python -m bench.hand{options}` on: {on}."
-    write_page("hand-performance", f"{written}\n\n{table(HEADER, map(row, outcomes))}\n")
+    write_page("hand-performance", f"{written}\n\n{table(HEADER, [outcome.row for outcome in outcomes])}\n")
     return 0 if not any(outcome.statistics.tally.mixed.any() for outcome in outcomes) else 1
 
 

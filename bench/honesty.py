@@ -1,8 +1,6 @@
 """Does "ok" mean ok? Simulated fingers with one fault each; rows that say ok and are wrong, against the bounds.
 
-python -m bench.honesty                    1000 calibrations a cell (two hours on two processors)
-python -m bench.honesty --calibrations 20  fewer
-python -m bench.honesty --part grid        one of its tables
+python -m bench.honesty    1000 calibrations a cell (two hours); --calibrations 20, --part grid: fewer, one table
 
 A row is wrong where its P is off by more than five of its own standard uncertainties. Exit code 1 where the data can
 tell and more than 1 in 10,000 of the rows that say ok are wrong, or where good fingers are not as good as they must be.
@@ -39,12 +37,10 @@ from tipforce_lab.report.studies.honesty import GAUGES, says_ok
 FULL = 1000
 ALLOWED_WRONG_PER_10000 = 1.0
 ALLOWED_ALARMS_PER_100000 = 1.0
-ALARM_ROWS = 10_000
-"""Of each calibration."""
+ALARM_ROWS = 10_000  # of each calibration
 LEAST_OK, LARGEST_U_RATIO = 0.99, 1.2
 CLEAN_COVERAGE, LEAST_COVERAGE = (0.93, 0.97), 0.93
-GRID = tuple(product((5, 8, 12, 19), (1, 2, 3), (1, 2, 3)))
-"""Grooves, weights, repeats."""
+GRID = tuple(product((5, 8, 12, 19), (1, 2, 3), (1, 2, 3)))  # grooves, weights, repeats
 PARTS = ("faults", "grid", "alarms", "drift")
 _HEADER = ["gauges", "rig", "fault", "refused", "says ok, %", "wrong in 10,000", "95 % holds, %", "u / error",
            "verdict"]  # fmt: skip
@@ -56,25 +52,21 @@ HEADERS = {
 }
 NOISE, OFFSET = 1e-6, 30e-6
 CONVERTER_LIMIT = 2000e-6
-ROWS = 200
-"""Readings of each finger and fault, 100 a second."""
-DRIFT_STRAIN = 0.5e-6
-"""Of each reading: 50 microstrain/s."""
+ROWS = 200  # readings of each finger and fault, 100 a second
+DRIFT_STRAIN = 0.5e-6  # of each reading: 50 microstrain/s
 CHUNK = 20_000
 FACTOR_95 = 1.959964
 WEIGHTS_NEWTONS = (4.4, 2.2, 1.1)
 WARM_K = 20.0
 SI_EVERY = 10
-QUADRATIC = 100.0
-"""10 % per 1000 microstrain."""
+QUADRATIC = 100.0  # 10 % per 1000 microstrain
 GROOVE_ERROR_RAD = float(np.radians(0.5))
 
 AFTER = ("clean", "drift", "stuck", "open", "rail", "gain", "overload", "warm, calibrated cold")
 """Faults of readings, on a calibration that is good."""
 IN_CALIBRATION = ("warm, coefficients known", "nonlinear", "SI units")
 OF_ONE_GAUGE = ("drift", "stuck", "gain")
-SPEAKS = 3.5
-"""Chi-square (1.9 sigma): residuals that a fault explains less of do not speak for it."""
+SPEAKS = 3.5  # chi-square (1.9 sigma): residuals that a fault explains less of do not speak for it
 INVISIBLE = " of an invisible gauge"
 """Cells of their own: the product counts such a gauge as one whose fault no residual shows (LEAST_SHARE)."""
 

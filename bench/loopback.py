@@ -16,7 +16,7 @@ from typing import Any
 import can
 import canopen
 import numpy as np
-from bench.measure import ROOT, Meter
+from bench.measure import ROOT
 from can.interfaces.socketcan.socketcan import SocketcanBus
 
 from canopen_device.can_frame import CAN_FRAME
@@ -35,14 +35,9 @@ _CONTACT = struct.Struct("<hhhBB")
 _FRAME = struct.Struct("=IB3xIHBB")  # the running number, then theta, status and counter of a Contact PDO
 
 
-def udp_socket() -> socket.socket:
-    """A socket for datagrams."""
-    return socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-
-
 def bound_receiver() -> socket.socket:
     """A UDP socket on 127.0.0.1 with the options of the live path."""
-    receiver = udp_socket()
+    receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     receiver.bind(("127.0.0.1", 0))
     prepare_socket(receiver)
     return receiver
@@ -51,7 +46,7 @@ def bound_receiver() -> socket.socket:
 def connected_pair() -> tuple[socket.socket, socket.socket]:
     """Such a receiver, and a sender; each is connected to the other."""
     receiver = bound_receiver()
-    sender = udp_socket()
+    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sender.connect(receiver.getsockname())
     receiver.connect(sender.getsockname())
     return receiver, sender
@@ -70,13 +65,12 @@ def running_numbers(frames: np.ndarray[Any, np.dtype[np.void]]) -> np.ndarray[An
     return np.ascontiguousarray(frames["data"][:, :4]).view(np.uint32)[:, 0]
 
 
-FramesOf = Callable[[int, int], list[bytes]]
-"""The frames from one number up to another."""
+FramesOf = Callable[[int, int], list[bytes]]  # the frames from one number up to another
 
 
 def send_at_rate(address: tuple[str, int], frames_of: FramesOf, rate_hz: int, seconds: float) -> None:
     """Send frames in ticks of a millisecond; what a late tick missed follows in the next."""
-    with udp_socket() as sender:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.connect(address)
         send, number, total = sender.send, 0, round(rate_hz * seconds)
         start_s = time.monotonic()
@@ -197,7 +191,7 @@ def run_sync(
 ) -> None:
     """A process: the SYNC, until the pipe is closed."""
     _hurry(realtime)
-    with udp_socket() as sender:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         producer = ThreadSync(partial(_send_sync, sender, (receiver, fingers)), period_s, data)
         pipe.poll(None)
         producer.stop()
@@ -244,7 +238,6 @@ class LoopbackLink(Link):
         self._receiver_address = receiver.getsockname()
         addresses = self._receiver_address, services.getsockname()
         self._fingers, pipe = _child(run_fingers, count, *addresses, realtime)
-        self._meter = Meter(self._fingers.pid)
         if not pipe.poll(30.0):
             raise RuntimeError("the fingers' process did not start")
         self._fingers_address: Address = pipe.recv()
@@ -254,7 +247,6 @@ class LoopbackLink(Link):
         bus._periodic_tasks, bus._bcm_sockets = [], {}
         self.connection = Bus(bus)
         self.connection.buffer.limit = KEPT_FRAMES
-        self.fingers_cpu_s = 0.0
 
     def receive(self, timeout_s: float) -> FrameArray:
         return self._receiver.receive(timeout_s)
@@ -276,7 +268,6 @@ class LoopbackLink(Link):
 
     def close(self) -> None:
         """See Link; ends the fingers, too."""
-        self.fingers_cpu_s = self._meter.cpu_s
         _end(self._fingers, 0.0)
         self.connection.close()
         self._receiver.close()

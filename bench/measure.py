@@ -19,7 +19,6 @@ from tipforce_lab.report import run
 
 ROOT = Path(__file__).parents[1]
 TIPFORCE = (sys.executable, "-m", "tipforce_tools.cli.main")
-_SAMPLE_S = 0.02
 Result = TypeVar("Result")
 
 
@@ -105,15 +104,12 @@ def command_s(words: Sequence[object], **options: Any) -> tuple[float, float]:
 
 
 def peak_mb(words: Sequence[object], **options: Any) -> float:
-    """The most memory that a command and its processes had at one time, sampled; what they share counts once.
-
-    ``options`` of subprocess.Popen.
-    """
+    """The most memory that a command and its processes had at one time, sampled; ``options`` of subprocess.Popen."""
     peak = 0
     with subprocess.Popen([str(word) for word in words], stdout=subprocess.DEVNULL, **options) as process:
         while process.poll() is None:
             peak = max(peak, sum(map(_own_kb, _descendants(process.pid))))
-            time.sleep(_SAMPLE_S)
+            time.sleep(0.02)
     if process.returncode:
         raise SystemExit(f"{' '.join(map(str, words))} ended with {process.returncode}")
     return peak * 1024 / 1e6
@@ -128,7 +124,7 @@ def _descendants(pid: int) -> list[int]:
 
 
 def _own_kb(pid: int) -> int:
-    """Proportional set size (Linux, proc(5))."""
+    """Proportional set size (proc(5)): what processes share counts once."""
     try:
         text = Path(f"/proc/{pid}/smaps_rollup").read_text()
     except OSError:
@@ -170,17 +166,6 @@ def in_processes(task: Callable[[int], Result], seeds: Iterable[int], jobs: int)
         return [task(seed) for seed in seeds]
     with ProcessPoolExecutor(jobs) as pool:
         return list(pool.map(task, seeds, chunksize=8))
-
-
-def new_svg_figure(width_inch: float, height_inch: float) -> Any:
-    """(figure, axes) of matplotlib for a reproducible SVG; save it with save_figure()."""
-    import matplotlib as mpl
-
-    mpl.use("svg")
-    import matplotlib.pyplot as plt
-
-    mpl.rcParams["svg.hashsalt"] = "tipforce"
-    return plt.subplots(figsize=(width_inch, height_inch), layout="constrained")
 
 
 def write_page(name: str, text: str) -> None:

@@ -4,9 +4,8 @@
     python -m bench.ros2 --figures docs/figures    draws what the reader receives of the shipped scene of a grasp, and
                                                   a scene update of its MCAP file
 
-All runs in a network namespace with only a loopback interface. Fingers, SYNC, host (a Hand and the bridge of the
-command) and reader are processes of their own; loopback.py is the bus. A row waits 200 ms for a late finger, so that a
-busy machine does not count. Exit code 1 if less than 99.9 % of the wrenches that decode gives arrive, or one differs.
+In a network namespace of its own. Fingers, SYNC, host (a Hand and the bridge of the command) and reader are processes
+of their own. Exit code 1 if less than 99.9 % of the wrenches that decode gives arrive, or one differs.
 """
 
 import argparse
@@ -21,12 +20,14 @@ import time
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 from bench.decode import write_log
 from bench.hand import CALIBRATION, brought_up
 from bench.loopback import LoopbackLink
-from bench.measure import Meter, arguments, new_svg_figure
+from bench.measure import Meter, arguments
+from matplotlib.figure import Figure
 from mcap.reader import make_reader
 
 from canopen_device.core.codes import SYNC_COB_ID
@@ -199,7 +200,9 @@ def draw(figures: Path) -> None:
         with log.with_suffix(".mcap").open("rb") as stream:
             messages = make_reader(stream).iter_messages(topics=["/tipforce/scene"])
             scenes = [json.loads(message.data)["entities"] for _, _, message in messages]
-    figure, axes = new_svg_figure(9, 3.2)
+    mpl.rcParams["svg.hashsalt"] = "tipforce"  # the same bytes each time
+    figure = Figure(figsize=(9, 3.2), layout="constrained")
+    axes = figure.subplots()
     for n, rows in read_rows.items():
         axes.plot((rows["t_ns"] % 10**11) / 1e9, np.hypot(rows["x"], rows["y"]), label=f"/tipforce/finger_{n}/wrench")
     axes.set(xlabel="stamp, s", ylabel="force, N")
@@ -208,7 +211,8 @@ def draw(figures: Path) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     save_figure(figure, figures / "ros2-received.svg")
     scene = max(scenes, key=lambda entities: sum(a["shaft_length"] for entity in entities for a in entity["arrows"]))
-    figure, axes = new_svg_figure(9, 2.6)
+    figure = Figure(figsize=(9, 2.6), layout="constrained")
+    axes = figure.subplots()
     for entity in scene:
         for line in entity["lines"]:
             at, points = line["pose"]["position"], line["points"]

@@ -31,13 +31,12 @@ from tipforce.host.logs.lines import line_borders
 FULL_FRAMES, ROUNDS, PARTS = 10_000_000, 3, 100_000
 _CHUNK = 1_000_000
 _START_NS = 1_700_006_400 * 10**9
-_DAY_NS = 86_400 * 10**9
 _COLUMN = Column("P_N", "P", "real", 3, "N", 0)
 
 
 def long_log(path: Path, frames: int) -> None:
     """Five fingers at 500 Hz, a million frames at a time."""
-    traffic = hand_traffic(_CHUNK, 5, True, 1)
+    traffic = hand_traffic(_CHUNK, 5, 1)
     step_ns = int(traffic["t_ns"][-1] - traffic["t_ns"][0]) + 2_000_000
     with path.open("wb") as out:
         for _ in range(frames // _CHUNK):
@@ -52,15 +51,13 @@ def workers(log: Path, rounds: int) -> str:
     """One and two workers in turn."""
     rows = []
     for name in ("run.csv", "run.parquet", "data/"):
-        output = f"{log.parent}/{name}"
-        runs: dict[int, list[tuple[float, float]]] = {1: [], 2: []}
 
-        def way(jobs: int, output: str = output, runs: dict[int, list[tuple[float, float]]] = runs) -> float:
-            runs[jobs].append(command_s([*TIPFORCE, "decode", "-q", log, "-o", output, "-j", jobs]))
+        def way(jobs: int, output: str = f"{log.parent}/{name}") -> tuple[float, float]:
+            times = command_s([*TIPFORCE, "decode", "-q", log, "-o", output, "-j", jobs])
             shutil.rmtree(output) if output.endswith("/") else Path(output).unlink()
-            return runs[jobs][-1][0]
+            return times
 
-        in_turns({str(jobs): partial(way, jobs) for jobs in runs}, rounds)
+        runs = in_turns({str(jobs): partial(way, jobs) for jobs in (1, 2)}, rounds)
         (cpu1, wall1), (cpu2, wall2) = (map(statistics.median, zip(*times, strict=True)) for times in runs.values())
         rows.append([name, f"{cpu1:.2f}", f"{cpu2:.2f}", f"{cpu2 / cpu1:.2f}", f"{wall1 / wall2:.2f}"])
     header = ["output", "1 worker, CPU s", "2 workers, CPU s", "CPU of 2 / CPU of 1", "by the clock: 1 / 2"]
@@ -145,7 +142,7 @@ def month(folder: Path, days: int = 30, rows: int = 3600) -> None:
 def slice_of_month(folder: Path) -> str:
     """A slice of one minute of a month: 30 days of five nodes at 1 Hz."""
     month(folder)
-    begin = When(_START_NS + 17 * _DAY_NS + 3_600 * 10**9, False)
+    begin = When(_START_NS + (17 * 24 + 1) * 3_600 * 10**9, False)
     reading = Reading(Layouts(), start=begin, end=When(begin.ns + 60 * 10**9, False))
 
     def read() -> None:

@@ -11,7 +11,7 @@ import random
 import struct
 import time
 from collections import Counter
-from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 from bench.measure import arguments, resident_bytes
@@ -49,8 +49,8 @@ class Finger:
         self.node_id = node_id
         self.last_contact = b""
         self._seed, self._store = seed, MemoryStore()
-        self._random = random.Random(seed)
-        self.off_until_s = self._broken_until_s = -1.0
+        self.random = random.Random(seed)
+        self.off_until_s = self.broken_until_s = -1.0
         self._booted_s = 0.0
         self._device = self._power()
         self._device.step(0)
@@ -65,20 +65,15 @@ class Finger:
             self.node_id, self.source, serial=self.node_id, save=self._store.save, load=self._store.load
         )
 
-    def break_source(self, fault: int, until_s: float) -> None:
-        """A fault of 2200h."""
-        self._broken_until_s = until_s
-        self.source.set_fault(fault, 1 + self._random.randrange(3), 50.0, 0)
-
     def end_trouble(self, now_s: float) -> bool:
         """Power comes back, the converter works again; return whether something is still wrong."""
         if 0.0 <= self.off_until_s <= now_s:
             self.off_until_s, self._booted_s = -1.0, now_s
             self._device = self._power()
-        if 0.0 <= self._broken_until_s <= now_s:
-            self._broken_until_s = -1.0
+        if 0.0 <= self.broken_until_s <= now_s:
+            self.broken_until_s = -1.0
             self.source.set_fault(0, 1, 0.0, 0)
-        return max(self.off_until_s, self._broken_until_s) >= 0.0
+        return max(self.off_until_s, self.broken_until_s) >= 0.0
 
     def step(self, now_s: float, frames: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
         """Give it frames and the time."""
@@ -96,25 +91,16 @@ class Finger:
         return answers
 
 
-@dataclass
-class Outcome:
-    """What a soak saw."""
-
-    rows: int = 0
-    checked: int = 0
-    """Values compared with what the finger sent for that very SYNC."""
-    breaks: list[str] = field(default_factory=list)
-    counts: Counter[str] = field(default_factory=Counter)
-    resident_bytes: list[int] = field(default_factory=list)
-    """Resident memory after each tenth of the time."""
-
-
 class Soak:
     """One run, all of it from ``seed``."""
 
     def __init__(self, fingers: int, seed: int) -> None:
         ids = range(1, fingers + 1)
-        self.fingers, self.outcome = [Finger(n, seed + n) for n in ids], Outcome()
+        self.fingers = [Finger(n, seed + n) for n in ids]
+        self.rows = self.checked = 0  # checked: values compared with what the finger sent for that very SYNC
+        self.breaks: list[str] = []
+        self.counts = Counter[str]()
+        self.resident_bytes: list[int] = []  # after each tenth of the time
         self._random = random.Random(seed)
         self._to_host = Injector(FAULTS, seed + 1)
         # A node may miss a frame; it cannot get one later than the others do, on one and the same wire.
@@ -131,19 +117,19 @@ class Soak:
         self._trouble_s = 0.0
         self._row = 0
 
-    def run(self, seconds: float) -> Outcome:
+    def run(self, seconds: float) -> Self:
         """Simulate."""
         ticks = round(seconds / PERIOD_S)
         for tick in range(ticks):
             self._tick(tick * PERIOD_S)
             if (tick + 1) % max(ticks // 10, 1) == 0:
                 gc.collect()
-                self.outcome.resident_bytes.append(resident_bytes())
-        self.outcome.rows = self._collector.tally.rows
+                self.resident_bytes.append(resident_bytes())
+        self.rows = self._collector.tally.rows
         for name in ("missing", "delayed", "late", "mixed", "repeated", "doubtful"):
-            self.outcome.counts[name] = int(getattr(self._collector.tally, name).sum())
-        self.outcome.counts.update({f"frames: {name}": n for name, n in self._to_host.counts.items()})
-        return self.outcome
+            self.counts[name] = int(getattr(self._collector.tally, name).sum())
+        self.counts.update({f"frames: {name}": n for name, n in self._to_host.counts.items()})
+        return self
 
     def _tick(self, now_s: float) -> None:
         self._trouble(now_s)
@@ -198,7 +184,7 @@ class Soak:
         if len(rows):
             self._check(rows, now_s)
         for event in self._supervisor.add(frames, now_s):
-            self.outcome.counts[event.kind] += 1
+            self.counts[event.kind] += 1
             if event.kind == "heartbeat_lost":  # two that the bus lost are trouble, too
                 self._trouble_s = now_s
         # As the Hand does: until it is seen to run, because the command may be lost, too.
@@ -211,19 +197,19 @@ class Soak:
             for k, finger in enumerate(self.fingers):
                 if rows.missing[row, k]:
                     continue
-                self.outcome.checked += 1
+                self.checked += 1
                 sent = truth.get(finger.node_id, b"")
                 raw = -0x8000 if np.isnan(P[row, k]) else round(P[row, k] * 1000)
                 answers = [sent[at : at + 8] for at in range(0, len(sent), 8)]
                 if not any(struct.unpack_from("<h", a)[0] == raw and a[7] == rows.counter[row, k] for a in answers):
-                    self._break(rows.first + row, finger, f"shows {raw} mN, {rows.counter[row, k]}; sent {sent.hex()}")
+                    shown = f"{raw} mN, {rows.counter[row, k]}; sent {sent.hex()}"
+                    self._break(rows.first + row, f"finger {finger.node_id} shows {shown}")
         if now_s - self._trouble_s > RECOVERY_S and any(s != 5 for s in self._supervisor.states.values()):
-            self._break(rows.first, None, f"not operational again: {self._supervisor.states}")
+            self._break(rows.first, f"not operational again: {self._supervisor.states}")
 
-    def _break(self, row: int, finger: Finger | None, text: str) -> None:
-        if len(self.outcome.breaks) < 100:
-            who = "" if finger is None else f"finger {finger.node_id}: "
-            self.outcome.breaks.append(f"row {row}: {who}{text}")
+    def _break(self, row: int, text: str) -> None:
+        if len(self.breaks) < 100:
+            self.breaks.append(f"row {row}: {text}")
 
     def _trouble(self, now_s: float) -> None:
         """Now and then something happens, and most of the time nothing."""
@@ -233,7 +219,7 @@ class Soak:
         if self._random.random() > PERIOD_S / 3.0 or now_s - self._trouble_s < 3.0:
             return
         kind = self._random.choice(("power", "power", "source", "source", "bus-off", "babbler", "busy", "busy"))
-        self.outcome.counts[f"trouble: {kind}"] += 1
+        self.counts[f"trouble: {kind}"] += 1
         length_s = self._random.uniform(0.2, 3.0)
         finger = self._random.choice(self.fingers)
         if kind == "power":
@@ -243,7 +229,8 @@ class Soak:
             self._busy_until_s = now_s + length_s
             self._busy_gap_s = self._random.choice((0.0, 1e-4))  # 0: all that waited gets one and the same sample
         elif kind == "source":
-            finger.break_source(self._random.randint(1, 5), now_s + length_s)
+            finger.broken_until_s = now_s + length_s
+            finger.source.set_fault(self._random.randint(1, 5), 1 + finger.random.randrange(3), 50.0, 0)
         elif kind == "bus-off":
             self._bus_off_until_s = now_s + length_s
         else:

@@ -3,9 +3,8 @@
     python -m bench.twin             both tables of docs/mujoco.md; half a minute
     python -m bench.twin --figure    docs/figures/mujoco-grasp.png
 
-The model of the cost is ``tipforce_robots.mujoco.hand_model``: five fingers of three joints, each with a fingertip on
-its springs, holding a ball. Physics and twin are timed in turns in one run. The errors are those of the grasp of
-``tipforce_robots.mujoco.grasp_model`` with 2 N of motor force against a reference with short steps and stiff contacts.
+Physics and twin are timed in turns, of ``hand_model`` holding a ball. The errors are those of ``grasp_model`` with 2 N
+of motor force against a reference with short steps and stiff contacts.
 """
 
 import os
@@ -38,7 +37,6 @@ SETTINGS = [
     (0.0001, 0.002, False), (0.0005, 0.002, False), (0.0005, 0.005, False), (0.0005, 0.02, False),
     (0.0005, 0.05, False), (0.0005, 0.02, True), (0.001, 0.02, True), (0.002, 0.02, True), (0.005, 0.02, True),
 ]  # fmt: skip
-FIGURE = ROOT / "docs" / "figures" / "mujoco-grasp.png"
 
 
 def holding() -> tuple[mujoco.MjModel, mujoco.MjData, Fingertips]:
@@ -56,21 +54,20 @@ def holding() -> tuple[mujoco.MjModel, mujoco.MjData, Fingertips]:
 def costs() -> str:
     """Return the table of the cost: the smallest of the rounds, which is what the code costs."""
     model, data, tips = holding()
-    jobs: list[tuple[str, str, Callable[[], object], int]] = []
-    for each, steps in (("step (2 kHz)", 1), ("SYNC of 500 Hz", 4), ("SYNC of 100 Hz", 20)):
-        for what, run in (
-            ("load and strain", lambda: [load.microstrain for load in tips.loads(data).values()]),
-            ("counts, F, P", lambda: [tip.P_newtons for tip in tips.read(data).values()]),
-            ("all, status and uncertainty too",
-             lambda: [(t.status, t.phi_deg, t.theta_deg, t.u_P_newtons) for t in tips.read(data).values()]),
-        ):  # fmt: skip
-            jobs.append((what, each, run, steps))
-    ways = {f"{what} {each}": partial(_timed, model, data, run, steps) for what, each, run, steps in jobs}
+    runs: dict[str, Callable[[], object]] = {
+        "load and strain": lambda: [load.microstrain for load in tips.loads(data).values()],
+        "counts, F, P": lambda: [tip.P_newtons for tip in tips.read(data).values()],
+        "all, status and uncertainty too":
+            lambda: [(t.status, t.phi_deg, t.theta_deg, t.u_P_newtons) for t in tips.read(data).values()],
+    }  # fmt: skip
+    each = {"step (2 kHz)": 1, "SYNC of 500 Hz": 4, "SYNC of 100 Hz": 20}
+    ways = {f"{what}; {name}": partial(_timed, model, data, run, steps)
+            for name, steps in each.items() for what, run in runs.items()}  # fmt: skip
     rows = []
-    for (what, each, _, _), times in zip(jobs, in_turns(ways, ROUNDS).values(), strict=True):
+    for name, times in in_turns(ways, ROUNDS).items():
         physics, twin = (min(column) / STEPS * 1e6 for column in zip(*times, strict=True))
-        rows.append([what, each, f"{physics:.1f}", f"{twin / len(FINGERS):.2f}",
-                     f"{twin / len(FINGERS) / physics:.3f}"])  # fmt: skip
+        a_finger = twin / len(FINGERS)
+        rows.append([*name.split("; "), f"{physics:.1f}", f"{a_finger:.2f}", f"{a_finger / physics:.3f}"])
     header = ["of each finger", "at each", "physics step, us", "twin, us a finger and step", "over physics"]
     return table(header, rows)
 
@@ -152,7 +149,7 @@ def figure() -> None:
     inset.axhspan(low, high, color="0.85", lw=0.0)
     inset.set_title("the last half second; grey: asked, plus and minus u(P)", fontsize=8)
     inset.tick_params(labelsize=7)
-    save_figure(fig, FIGURE, dpi=110)
+    save_figure(fig, ROOT / "docs" / "figures" / "mujoco-grasp.png", dpi=110)
 
 
 def _picture(gripper: grasp.Gripper) -> npt.NDArray[np.uint8]:

@@ -114,16 +114,8 @@ def is_public(name: str) -> bool:
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.stem)
 def test_documents_import_public_names_only(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
-    lines = (
-        [text]
-        if path.suffix == ".py"
-        else [
-            m[1]
-            for m in re.finditer(
-                r"^\s*(?:>>> |\.\.\. )?((?:from|import) (?:tipforce|canopen_device)\S*.*)$", text, re.M
-            )
-        ]
-    )
+    example = r"^\s*(?:>>> |\.\.\. )?((?:from|import) (?:tipforce|canopen_device)\S*.*)$"
+    lines = [text] if path.suffix == ".py" else re.findall(example, text, re.M)
     private = {name for line in lines for name in imports(ast.parse(line)) if not is_public(name)}
     assert not private
 
@@ -270,8 +262,6 @@ def test_a_calibration_from_a_matrix_goes_through_a_file(tmp_path: Path) -> None
     [
         ({"matrix": np.zeros((3, 3))}, "rank below 3"),
         ({"matrix": np.ones((3, 2))}, r"shape \(3, 2\), allowed \(3, 3\) to \(3, 8\)"),
-        ({"matrix": [[1, 2], [3]]}, "no array of numbers"),
-        ({"matrix": "C"}, "no array of numbers"),
         ({"matrix": np.full((3, 3), np.nan)}, "not finite"),
         ({"offset": [1.0, 2.0]}, r"offset: shape \(2,\), allowed is \(3,\)"),
         ({"covariance": -np.eye(3)}, "variance is -1e-12: allowed is above 0"),

@@ -1,4 +1,4 @@
-"""The drive: each transition of CiA 402-2, its modes, limits, faults. tests/vcan has canopen's BaseNode402 with it."""
+"""The drive: each transition of CiA 402-2, its modes, limits, faults. docs/examples has BaseNode402 with it."""
 
 from pathlib import Path
 

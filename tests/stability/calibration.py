@@ -40,7 +40,7 @@ def calibration_staged_not_finite() -> Observed:
             held &= finger.commit() == codes.INVALID_VALUE and finger.calibration() == before
             count += 1
     after = finger.sync()
-    return Observed(held and after[:3] == shown[:3], f"{count} records refused, P stays {after.contact[0]} mN")
+    return held and after[:3] == shown[:3], f"{count} records refused, P stays {after.contact[0]} mN"
 
 
 def _conditioned(kappa: float) -> list[list[float]]:
@@ -60,7 +60,7 @@ def calibration_condition() -> Observed:
         record = rig.record(C=_conditioned(kappa))
         verdicts.append((finger.stage(record) or finger.commit()) == 0)
         if not verdicts[-1] and not _refused(finger, record, codes.TOO_HIGH):
-            return Observed(False, f"condition {kappa:g}: not refused as it should be")
+            return False, f"condition {kappa:g}: not refused as it should be"
     # Beyond 1e7 REAL32 cannot represent a rotated matrix, but a graded one exactly.
     exact = []
     for tiny in (2.0**-20, 2.0**-46, 0.0):
@@ -68,7 +68,7 @@ def calibration_condition() -> Observed:
         refused = _refused(finger, rig.record(C=[[1e4, 0, 0], [0, 1e4, 0], [0, 0, 1e4 * tiny]]), codes.TOO_HIGH)
         exact.append(refused and finger.get("f", indices.CALIBRATION_FACTS, 5) == (1.0 / tiny if tiny else math.inf))
     held = verdicts == [True, True, True, False, False] and all(exact)
-    return Observed(held, f"10, 1e3, 9.9e3, 1.01e4, 1e6: accepted {verdicts}; 1e6, 7e13, infinity: refused {exact}")
+    return held, f"10, 1e3, 9.9e3, 1.01e4, 1e6: accepted {verdicts}; 1e6, 7e13, infinity: refused {exact}"
 
 
 def calibration_impossible_noise() -> Observed:
@@ -88,9 +88,7 @@ def calibration_impossible_noise() -> Observed:
     refused = {name: _refused(finger, record, codes.INVALID_VALUE) for name, record in records.items()}
     after, u_P = finger.sync(), finger.get("f", indices.UNCERTAINTY, 1)
     held = all(refused.values()) and after.contact[0] == 1000 and u_P > 0.0
-    return Observed(
-        held, f"refused: {', '.join(name for name, yes in refused.items() if yes)}; u_P stays {1e3 * u_P:g} mN"
-    )
+    return held, f"refused: {', '.join(name for name, yes in refused.items() if yes)}; u_P stays {1e3 * u_P:g} mN"
 
 
 def calibration_possible_noise() -> Observed:
@@ -107,7 +105,7 @@ def calibration_possible_noise() -> Observed:
     for noise in records:
         finger = rig.finger()
         accepted += (finger.stage(rig.record(variance=noise)) or finger.commit()) == 0
-    return Observed(accepted == len(records), f"{accepted} of {len(records)} accepted, ranks 0 to 3")
+    return accepted == len(records), f"{accepted} of {len(records)} accepted, ranks 0 to 3"
 
 
 def _flipped(data: bytes) -> Iterable[bytes]:
@@ -128,7 +126,7 @@ def calibration_flipped_in_transit() -> Observed:
         staged = finger.stage(spoilt, crc)
         refused += staged == codes.INVALID_VALUE or (staged == 0 and finger.commit() == codes.INCOMPATIBLE)
     held = refused == total == 1264 and finger.calibration() == before
-    return Observed(held, f"{refused} of {total} refused, active CRC {before[1]:08X}h stays")
+    return held, f"{refused} of {total} refused, active CRC {before[1]:08X}h stays"
 
 
 def _stored() -> MemoryStore:
@@ -163,7 +161,7 @@ def calibration_flipped_in_store() -> Observed:
             break
         caught += 1
     held = caught == total and good.contact[0] == 1000
-    return Observed(held, f"{caught} of {total} noticed; whole, the node shows {good.contact[0]} mN")
+    return held, f"{caught} of {total} noticed; whole, the node shows {good.contact[0]} mN"
 
 
 def calibration_cut_store() -> Observed:
@@ -177,7 +175,7 @@ def calibration_cut_store() -> Observed:
     memory.groups["calibration"] = b""  # the state after a restore of defaults: no damage
     empty = _started(memory)
     held = caught == len(data) - 1 and not empty.emcy() and not empty.sync().status & scalar.CALIBRATED
-    return Observed(held, f"{caught} of {len(data) - 1} lengths noticed; nothing stored: uncalibrated, no EMCY")
+    return held, f"{caught} of {len(data) - 1} lengths noticed; nothing stored: uncalibrated, no EMCY"
 
 
 def calibration_huge() -> Observed:
@@ -198,7 +196,7 @@ def _sized(newtons_per_strain: float, code: int) -> Observed:
     C = [[newtons_per_strain if i == k else 0.0 for k in range(3)] for i in range(3)]
     abort = finger.stage(rig.record(C=C)) or finger.commit()
     held = abort == code and finger.calibration() == before and finger.sync().contact[0] == 1000
-    return Observed(held, f"{abort:08X}h, active CRC {before[1]:08X}h stays")
+    return held, f"{abort:08X}h, active CRC {before[1]:08X}h stays"
 
 
 def calibration_tare_huge() -> Observed:
@@ -216,7 +214,7 @@ def calibration_tare_huge() -> Observed:
         finger.sync()
         F = [finger.get("f", indices.PROCESS_VALUE, sub) for sub in (4, 5, 6)]
         worst = max(worst, float(np.abs(np.subtract(F, (-0.4997, 0.5004, -0.5004))).max()))
-    return Observed(held and worst <= 1e-3, f"F off by at most {1e3 * worst:.2g} mN after tares of 45 N")
+    return held and worst <= 1e-3, f"F off by at most {1e3 * worst:.2g} mN after tares of 45 N"
 
 
 def calibration_tare_saturated() -> Observed:
@@ -235,7 +233,7 @@ def calibration_tare_saturated() -> Observed:
     stale = finger.put("I", indices.AUTOTARE, 4, table.SIGNATURE_TARA)
     after = [finger.get("f", indices.TARE, sub) for sub in (1, 2, 3)]
     held &= saturated == stale == codes.DEVICE_STATE and before == after and any(before)
-    return Observed(held, f"saturated {saturated:08X}h, stale {stale:08X}h, tare stays {before[2]:.3f} N along F3")
+    return held, f"saturated {saturated:08X}h, stale {stale:08X}h, tare stays {before[2]:.3f} N along F3"
 
 
 def calibration_scaling_points_equal() -> Observed:
@@ -252,7 +250,7 @@ def calibration_scaling_points_equal() -> Observed:
         aborts.append(finger.put(kind, index, 1, 0))
     after = finger.sync()
     held = aborts == [codes.INVALID_VALUE] * 3 and after[:3] == before[:3]
-    return Observed(held, f"{', '.join(f'{abort:08X}h' for abort in aborts)}; SG1 stays {after.gauges[0] / 10:g}")
+    return held, f"{', '.join(f'{abort:08X}h' for abort in aborts)}; SG1 stays {after.gauges[0] / 10:g}"
 
 
 def calibration_scaling_denormal() -> Observed:
@@ -264,7 +262,7 @@ def calibration_scaling_denormal() -> Observed:
     statuses = [finger.get("B", indices.CHANNEL_STATUS, sub) for sub in (1, 7)]
     values = [finger.get("f", indices.PROCESS_VALUE, sub) for sub in (1, 7)]
     held = taken and (found.gauges[0], found.contact[0]) == (32767, table.UNKNOWN_I16) and statuses == [3, 1]
-    return Observed(held and all(map(math.isnan, values)), f"SG1 and P: {values}, 6150h {statuses}")
+    return held and all(map(math.isnan, values)), f"SG1 and P: {values}, 6150h {statuses}"
 
 
 def calibration_locked() -> Observed:
@@ -276,4 +274,4 @@ def calibration_locked() -> Observed:
     aborts = [finger.put("f", indices.CALIBRATION_MATRIX, 1, 1.0), finger.stage(rig.record(offsets=[1.0, 0.0, 0.0]))]
     aborts += [finger.commit(), finger.put("B", indices.CALIBRATION_GUARD, 2, 0)]
     held = aborts == [codes.DEVICE_STATE] * 4 and finger.calibration() == before
-    return Observed(held, ", ".join(f"{abort:08X}h" for abort in aborts))
+    return held, ", ".join(f"{abort:08X}h" for abort in aborts)

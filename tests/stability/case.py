@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import FunctionType, ModuleType
-from typing import cast
+from typing import TypeAlias, cast
 
 from tipforce.errors import InputError
 from tipforce_lab.report.study import Outcome
@@ -22,12 +22,8 @@ _PLAIN = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Observed:
-    """Result of a check: whether the claim held, and one line of figures."""
-
-    held: bool
-    figures: str
+Observed: TypeAlias = tuple[bool, str]
+"""Whether the claim of a case held, and one line of figures."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +91,9 @@ def cases() -> list[Case]:
 def recorded(case: Case, observed: Observed) -> dict[str, object]:
     """Return the record of one case, as ``tipforce_lab.report.study.Case`` reads it."""
     names = ("key", "situation", "outcome", "claim")
-    held = bool(observed.held)  # numpy's bool is not a bool of JSON
-    return {name: getattr(case, name) for name in names} | {"held": held, "figures": plain(observed.figures)}
+    held, figures = observed
+    # numpy's bool is not a bool of JSON.
+    return {name: getattr(case, name) for name in names} | {"held": bool(held), "figures": plain(figures)}
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ def clock_counter_wrap() -> Observed:
     whole, lost = decoder.unwrap_counter(counters), decoder.lost_samples(kept)
     right = np.array_equal(whole, counters[0] + np.arange(1000))
     span = int(decoder.unwrap_counter(kept)[-1]) - counters[0]
-    return Observed(right and lost == 40 and span == 999, f"{len(counters)} samples to {whole[-1]}, {lost} lost")
+    return right and lost == 40 and span == 999, f"{len(counters)} samples to {whole[-1]}, {lost} lost"
 
 
 def clock_counter_full_turn() -> Observed:
@@ -48,7 +48,7 @@ def clock_counter_full_turn() -> Observed:
         said.append(decoder.lost_samples(found.columns["counter"]))
         gaps.append(int(np.diff(found.t_ns).max()) // 10**6 - 1)
     held = said == [253, 254, 0, 0, 1] and gaps == [253, 254, 255, 256, 257]
-    return Observed(held, f"lost {gaps} by the times, {said} by the counter")
+    return held, f"lost {gaps} by the times, {said} by the counter"
 
 
 def clock_microseconds_wrap() -> Observed:
@@ -61,7 +61,7 @@ def clock_microseconds_wrap() -> Observed:
         finger.now_us += after
         finger.step()
         seen.append(int(finger.get("I", communication.HIGH_RESOLUTION_TIME)))
-    return Observed(seen == [0xFFFFFFFF, 0, 0xFFFFFFFE, 0xFFFFFFFF, 0], f"{[hex(value) for value in seen]}")
+    return seen == [0xFFFFFFFF, 0, 0xFFFFFFFE, 0xFFFFFFFF, 0], f"{[hex(value) for value in seen]}"
 
 
 def clock_long_run() -> Observed:
@@ -80,7 +80,7 @@ def clock_long_run() -> Observed:
         beats.append(times)
         found = finger.sync()
         held &= times == 10 and found.contact[0] == 1000 and not found.status & scalar.STALE
-    return Observed(held, f"heartbeats in 100 ms at 10 ms: {beats}")
+    return held, f"heartbeats in 100 ms at 10 ms: {beats}"
 
 
 def _time(when: datetime.datetime) -> bytes:
@@ -106,7 +106,7 @@ def clock_time_of_day() -> Observed:
         right = (when + datetime.timedelta(seconds=2) - epoch) // datetime.timedelta(milliseconds=1)
         off.append(_network_ms(finger.device) - right)
     last = (datetime.datetime(2163, 6, 6) - datetime.datetime(1984, 1, 1)).days
-    return Observed(off == [0, 0, 0] and last == 0xFFFF, f"off by {off} ms, 2 s after each; last day is {last}")
+    return off == [0, 0, 0] and last == 0xFFFF, f"off by {off} ms, 2 s after each; last day is {last}"
 
 
 def clock_time_of_day_impossible() -> Observed:
@@ -120,9 +120,7 @@ def clock_time_of_day_impossible() -> Observed:
         finger.now_us += 1_000_000
         finger.step([(codes.TIME_COB_ID, data)])
     after = _network_ms(finger.device)
-    return Observed(
-        never == -1 and after - before == 5000, f"5 messages passed over; time runs on by {after - before} ms"
-    )
+    return never == -1 and after - before == 5000, f"5 messages passed over; time runs on by {after - before} ms"
 
 
 def clock_log_2038() -> Observed:
@@ -134,7 +132,7 @@ def clock_log_2038() -> Observed:
     right = [int(stamp.replace(".", "")) * 1000 for stamp in stamps]
     again = CandumpFormat("a", log=True).lines(block)
     held = block.frames["t_ns"].tolist() == right and again == lines
-    return Observed(held, f"{len(lines)} lines, last {again[-1].split()[0]}")
+    return held, f"{len(lines)} lines, last {again[-1].split()[0]}"
 
 
 def clock_log_beyond() -> Observed:
@@ -148,7 +146,7 @@ def clock_log_beyond() -> Observed:
     numbers = [number for number, line in enumerate(lines, 1) if CandumpParser().frame(line) is None]
     counts = parser.notes.bad
     held = block.frames["t_ns"].tolist() == [10**9, 2 * 10**9] and counts == {"timestamp": len(bad)}
-    return Observed(held and numbers == list(range(2, 2 + len(bad))), f"bad lines {numbers}: {counts}")
+    return held and numbers == list(range(2, 2 + len(bad))), f"bad lines {numbers}: {counts}"
 
 
 def clock_log_backwards() -> Observed:
@@ -161,9 +159,7 @@ def clock_log_backwards() -> Observed:
     held = np.array_equal(found.t_ns, t_ns) and np.array_equal(found.columns["counter"], counters)
     lost = decoder.lost_samples(found.columns["counter"])
     falls = int((np.diff(found.t_ns) < 0).sum())
-    return Observed(
-        held and lost == 0 and falls == 1, f"1000 samples in order, {falls} fall of the clock kept, {lost} lost"
-    )
+    return held and lost == 0 and falls == 1, f"1000 samples in order, {falls} fall of the clock kept, {lost} lost"
 
 
 def clock_rows_backwards() -> Observed:
@@ -174,7 +170,7 @@ def clock_rows_backwards() -> Observed:
     faults = time_faults(list(range(2, 102)), t_s.tolist())
     lines = [line for line, _ in faults]
     held = lines == [62, 63, 64, 65] and all(reason for _, reason in faults)
-    return Observed(held, f"lines {lines}: {faults[0][1]}" if faults else "nothing found")
+    return held, f"lines {lines}: {faults[0][1]}" if faults else "nothing found"
 
 
 def clock_live_backwards() -> Observed:
@@ -202,9 +198,7 @@ def clock_live_backwards() -> Observed:
     finger.source.load = (5.0, *rig.PUSH[1:])
     shown.append(finger.sync().contact[0] * 1e-3)
     held = [round(P) for P in shown] == [2, 3, 4, 5] and beats >= 1 and 0 < due <= 100_000
-    return Observed(
-        held, f"P {', '.join(f'{P:.3f}' for P in shown)} N; next due in {due / 1000:g} ms, {beats} heartbeats"
-    )
+    return held, f"P {', '.join(f'{P:.3f}' for P in shown)} N; next due in {due / 1000:g} ms, {beats} heartbeats"
 
 
 def clock_slept() -> Observed:
@@ -220,7 +214,7 @@ def clock_slept() -> Observed:
     sent, P = list(finger.sent), finger.get("f", indices.PROCESS_VALUE, 7)
     again = finger.due_us - finger.now_us
     held = [can_id for can_id, _ in sent] == [_HEARTBEAT_COB_ID] and abs(P - 2.0) < 1e-3 and 0 < again <= 100_000
-    return Observed(held, f"{len(sent)} frame sent on waking, P {P:.3f} N, next due in {again / 1000:g} ms")
+    return held, f"{len(sent)} frame sent on waking, P {P:.3f} N, next due in {again / 1000:g} ms"
 
 
 def clock_sync_twice_rate() -> Observed:
@@ -235,7 +229,7 @@ def clock_sync_twice_rate() -> Observed:
     counts = decoder.unwrap_counter([one.counter for one in found])
     repeats = (np.diff(counts) == 0).tolist() == stale[1:]
     alternate = all(one != other for one, other in itertools.pairwise(stale))
-    return Observed(
+    return (
         hushed and right and repeats and alternate,
         f"{sum(stale)} of 200 stale, counter advances by {counts[-1] - counts[0]}",
     )
@@ -250,7 +244,7 @@ def clock_sync_burst() -> Observed:
     stale = [bool(one.status & scalar.STALE) for one in found]
     held = stale == [False] + [True] * 99 and len({one.counter for one in found}) == 1
     held &= all(one.contact == _HUSHED for one in found[1:]) and found[0].contact[0] == 1000
-    return Observed(held, f"{sum(stale)} of 100 stale, counter {found[0].counter} in all")
+    return held, f"{sum(stale)} of 100 stale, counter {found[0].counter} in all"
 
 
 def clock_sample_period() -> Observed:
@@ -267,6 +261,4 @@ def clock_sample_period() -> Observed:
     fresh = [k for k, one in enumerate(found) if not one.status & scalar.STALE]
     held &= fresh == [9, 19, 29] and all((one.contact == _HUSHED) == (k not in fresh) for k, one in enumerate(found))
     faults = sum(bool(one.status & scalar.FRONT_END_FAULT) for one in found)
-    return Observed(
-        held and faults == 0, f"5 refused; at 1 s {len(fresh)} of 30 SYNCs at 100 ms have news, no fault claimed"
-    )
+    return held and faults == 0, f"5 refused; at 1 s {len(fresh)} of 30 SYNCs at 100 ms have news, no fault claimed"

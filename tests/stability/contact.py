@@ -21,7 +21,7 @@ def contact_no_load() -> Observed:
     node = rig.finger().sync()
     angles_unknown = bool(np.isnan(found.phi_rad) and np.isnan(found.theta_rad))
     held = float(found.P_newtons) == 0.0 and angles_unknown and node.contact == (0, rig.UNKNOWN, rig.UNKNOWN)
-    return Observed(held, f"P = {float(found.P_newtons):g} N, phi {found.phi_rad}, node {node.contact}")
+    return held, f"P = {float(found.P_newtons):g} N, phi {found.phi_rad}, node {node.contact}"
 
 
 def contact_denormal_load() -> Observed:
@@ -33,7 +33,7 @@ def contact_denormal_load() -> Observed:
     worst = float(np.nanmax(np.abs([small.phi_rad - large.phi_rad, small.theta_rad - large.theta_rad])))
     same = worst <= 4.0 * _EPSILON and np.array_equal(np.isnan(small.theta_rad), np.isnan(large.theta_rad))
     P_off = np.abs(small.P_newtons / _SMALLEST - np.ldexp(large.P_newtons, -1060 + 1074)).max()
-    return Observed(bool(same and P_off <= 1.0), f"angles off by {worst:.1e} radian; P by {P_off:.2g} smallest floats")
+    return bool(same and P_off <= 1.0), f"angles off by {worst:.1e} radian; P by {P_off:.2g} smallest floats"
 
 
 def contact_magnitudes() -> Observed:
@@ -51,7 +51,7 @@ def contact_magnitudes() -> Observed:
         exact_P = hypotenuse + exact_miss / 2
         unit = Fraction(max(map(abs, row))) * Fraction(_EPSILON)
         worst = max(worst, float(abs(Fraction(P) - exact_P) / unit), float(abs(Fraction(miss) - exact_miss) / unit))
-    return Observed(worst <= 4.0, f"worst error {worst:.2f} units in the last place")
+    return worst <= 4.0, f"worst error {worst:.2f} units in the last place"
 
 
 def contact_overflow() -> Observed:
@@ -61,7 +61,7 @@ def contact_overflow() -> Observed:
     found, small = estimate.contacts(F, pull=True), estimate.contacts(np.ldexp(F, -600), pull=True)
     angles = float(found.phi_rad) == float(small.phi_rad) and float(found.theta_rad) == float(small.theta_rad)
     P = float(found.P_newtons)
-    return Observed(math.inf == P and angles, f"P = {P:g} N, angles as of F / 2^600: {angles}")
+    return math.inf == P and angles, f"P = {P:g} N, angles as of F / 2^600: {angles}"
 
 
 def contact_not_finite() -> Observed:
@@ -83,7 +83,7 @@ def contact_not_finite() -> Observed:
     node = all(
         math.isnan(value) for row in spoilt[bad].tolist() for value in scalar.contact(row[0], row[1], row[2], False)
     )
-    return Observed(unknown and same and node, f"unknown: {unknown}, node's formula: {node}, others unchanged: {same}")
+    return unknown and same and node, f"unknown: {unknown}, node's formula: {node}, others unchanged: {same}"
 
 
 def contact_exactly_tangential() -> Observed:
@@ -97,7 +97,7 @@ def contact_exactly_tangential() -> Observed:
             right = math.atan2(3.0, 4.0) - sign * 0.5 * math.pi
             worst = max(worst, float(np.abs(found.theta_rad - right).max()))
             missed = max(missed, float(found.miss_newtons.max()))
-    return Observed(worst <= 2.0 * _EPSILON and missed == 0.0, f"theta off by {worst:.1e} radian, miss {missed:g} N")
+    return worst <= 2.0 * _EPSILON and missed == 0.0, f"theta off by {worst:.1e} radian, miss {missed:g} N"
 
 
 def contact_nearly_tangential() -> Observed:
@@ -110,7 +110,7 @@ def contact_nearly_tangential() -> Observed:
             found = estimate.contacts(F, pull=True)
             exact = math.atan2(F2, _exact_cosine(*F))
             worst = max(worst, abs(float(found.delta_rad) / exact - 1.0), _cosine_error(found, F))
-    return Observed(worst <= 8.0 * _EPSILON, f"worst relative error {worst:.1e} of delta and of 90 degrees - delta")
+    return worst <= 8.0 * _EPSILON, f"worst relative error {worst:.1e} of delta and of 90 degrees - delta"
 
 
 def _cosine_error(found: estimate.Contact, F: tuple[float, float, float]) -> float:
@@ -131,7 +131,7 @@ def contact_nearly_tangential_oblique() -> Observed:
             F2 = (1.0 - 2.0**-k) * math.hypot(F1, F3)
             found = estimate.contacts((F1, F2, F3), pull=True)
             worst = max(worst, abs(float(found.delta_rad) - math.atan2(F2, _exact_cosine(F1, F2, F3))))
-    return Observed(worst <= 3e-8, f"worst error of delta {worst:.1e} radian")
+    return worst <= 3e-8, f"worst error of delta {worst:.1e} radian"
 
 
 def contact_misses_tip() -> Observed:
@@ -143,7 +143,7 @@ def contact_misses_tip() -> Observed:
     P, phi, theta = found.contact
     right_phi = round(math.degrees(math.atan2(0.6, -0.8)) * 100)
     held = bool(found.status & scalar.MISSES_TIP) and theta == rig.UNKNOWN and (P, phi) == (1250, right_phi)
-    return Observed(held, f"status {found.status:02X}h, P {P} mN, phi {phi / 100:g} degrees, theta unknown")
+    return held, f"status {found.status:02X}h, P {P} mN, phi {phi / 100:g} degrees, theta unknown"
 
 
 def contact_only_F2() -> Observed:
@@ -153,7 +153,7 @@ def contact_only_F2() -> Observed:
     P, phi, theta, miss = scalar.contact(0.0, -1.0, 0.0, True)
     held = (float(found.P_newtons), float(found.miss_newtons), P, miss) == (0.5, 1.0, 0.5, 1.0)
     held &= bool(np.isnan(found.phi_rad) and np.isnan(found.theta_rad)) and math.isnan(phi) and math.isnan(theta)
-    return Observed(held, f"P {P:g} N, miss {miss:g} N, phi {phi}, theta {theta}")
+    return held, f"P {P:g} N, miss {miss:g} N, phi {phi}, theta {theta}"
 
 
 def contact_angle_wrap() -> Observed:
@@ -169,7 +169,7 @@ def contact_angle_wrap() -> Observed:
               float(np.abs(np.sin(found.theta_rad[:-2] - theta)).max()))  # fmt: skip
     shown = [rig.finger(load=(1.0, angle, 10.0)).sync().contact[1] for angle in (180.0, 179.9999, -179.9999)]
     held = inside and off <= 1e-14 and shown == [18000] * 3
-    return Observed(held, f"inside: {inside}, off by {off:.1e} radian, node shows {shown}")
+    return held, f"inside: {inside}, off by {off:.1e} radian, node shows {shown}"
 
 
 def contact_node_agrees() -> Observed:
@@ -186,7 +186,7 @@ def contact_node_agrees() -> Observed:
         theirs = np.stack((found.P_newtons, found.phi_rad, found.theta_rad, found.miss_newtons), axis=-1)
         size = np.stack((found.P_newtons, np.ones(10000), np.ones(10000), found.P_newtons), axis=-1)
         worst = max(worst, float((np.abs(ours - theirs) / size).max()))
-    return Observed(worst <= 8.0 * _EPSILON, f"largest difference {worst:.1e}, relative to P and 1 radian")
+    return worst <= 8.0 * _EPSILON, f"largest difference {worst:.1e}, relative to P and 1 radian"
 
 
 def _exact(F1: float, F2: float, F3: float) -> tuple[Fraction, Fraction]:

@@ -38,7 +38,7 @@ def filter_constants() -> Observed:
     expected = [codes.TOO_LOW, codes.TOO_HIGH, codes.TOO_HIGH]
     expected += [codes.INVALID_VALUE, codes.INVALID_VALUE, codes.TOO_HIGH]
     held = aborts == expected and kept == (_MOVING, 8)
-    return Observed(held, f"{', '.join(f'{abort:08X}h' for abort in aborts)}; type and constant stay {kept}")
+    return held, f"{', '.join(f'{abort:08X}h' for abort in aborts)}; type and constant stay {kept}"
 
 
 def filter_constant_1() -> Observed:
@@ -53,7 +53,7 @@ def filter_constant_1() -> Observed:
 
     plain = run(rig.finger())
     same = [run(_filtered(kind, 1)) == plain for kind in (_MOVING, _REPEATING, _FIRST_ORDER)]
-    return Observed(all(same), f"{sum(same)} of 3 types give the same 50 samples")
+    return all(same), f"{sum(same)} of 3 types give the same 50 samples"
 
 
 def filter_first_order_65535() -> Observed:
@@ -71,7 +71,7 @@ def filter_first_order_65535() -> Observed:
             exact = high + (low - high) * float(keep) ** k
             output = running.output()
             worst = max(worst, abs(Fraction(output[0] - exact))) if output else Fraction(99)
-    return Observed(worst <= Fraction(1, 256), f"worst {float(worst) * 256:.3f}/256 count, last output {exact:.3f}")
+    return worst <= Fraction(1, 256), f"worst {float(worst) * 256:.3f}/256 count, last output {exact:.3f}"
 
 
 def filter_long_run() -> Observed:
@@ -82,7 +82,7 @@ def filter_long_run() -> Observed:
     for count in counts.tolist():
         running.push((count,))
     output, exact = running.output(), int(counts[-256:].sum()) / 256
-    return Observed(output == [exact], f"{output} counts, exact {exact:g}")
+    return output == [exact], f"{output} counts, exact {exact:g}"
 
 
 def filter_first_order_settles() -> Observed:
@@ -96,7 +96,7 @@ def filter_first_order_settles() -> Observed:
         for _ in range(100_000 if constant < 65535 else 65535 * 22):
             running.push((32767,))
         last += running.output() or [math.nan]
-    return Observed(last == [32767.0] * 3, f"outputs {last}")
+    return last == [32767.0] * 3, f"outputs {last}"
 
 
 def filter_repeating_65535() -> Observed:
@@ -110,9 +110,7 @@ def filter_repeating_65535() -> Observed:
     fresh = [k for k, one in enumerate(later) if not one.status & scalar.STALE]
     seen = later[fresh[0]] if fresh else later[-1]
     held = hushed and len(fresh) == 1 and seen.contact[0] == 1000
-    return Observed(
-        held, f"unknown for {6500 + fresh[0]} ms, then once P {seen.contact[0]} mN" if fresh else "no output"
-    )
+    return held, f"unknown for {6500 + fresh[0]} ms, then once P {seen.contact[0]} mN" if fresh else "no output"
 
 
 def filter_saturated() -> Observed:
@@ -127,7 +125,7 @@ def filter_saturated() -> Observed:
     after = [finger.sync(rig.PERIOD_US) for _ in range(300)]
     held = bool(hit.status & scalar.SATURATED) and hit.contact == _HUSHED
     wrong = [one.contact[0] for one in after if one.contact[0] not in (1000, rig.UNKNOWN)]
-    return Observed(held and not wrong, f"status {hit.status:02X}h, P of the next 300 samples wrong in {len(wrong)}")
+    return held and not wrong, f"status {hit.status:02X}h, P of the next 300 samples wrong in {len(wrong)}"
 
 
 def filter_silence() -> Observed:
@@ -140,7 +138,7 @@ def filter_silence() -> Observed:
     found = [finger.sync() for _ in range(150)]
     held = good.contact[0] == 1000 and all(one.contact == one.gauges == _HUSHED for one in found)
     held &= all(one.status & scalar.STALE for one in found) and bool(found[-1].status & scalar.FRONT_END_FAULT)
-    return Observed(held, f"150 SYNCs unknown, status {found[0].status:02X}h, then {found[-1].status:02X}h")
+    return held, f"150 SYNCs unknown, status {found[0].status:02X}h, then {found[-1].status:02X}h"
 
 
 def front_end_noise() -> Observed:
@@ -152,7 +150,7 @@ def front_end_noise() -> Observed:
     flagged = [bool(one.status & scalar.SATURATED) for one in found]
     held = all(flag == (max(map(abs, one.gauges)) == 32767) for flag, one in zip(flagged, found, strict=True))
     held &= all(one.contact == _HUSHED for one, flag in zip(found, flagged, strict=True) if flag)
-    return Observed(held and sum(flagged) > 390, f"{sum(flagged)} of 400 samples flagged")
+    return held and sum(flagged) > 390, f"{sum(flagged)} of 400 samples flagged"
 
 
 def _named(act: Callable[[], object], name: str) -> bool:
@@ -173,9 +171,7 @@ def front_end_noise_impossible() -> Observed:
     named.append(_named(lambda: FrontEnd(one_over_f=(1.0, 10.0, 1.0)), "highest_hz"))
     silent = FrontEnd()
     one, other = silent.counts([1.0, 2.0, 3.0], 0), silent.counts([1.0, 2.0, 3.0], 500)
-    return Observed(
-        all(named) and not silent.parts and one == other == [10, 20, 30], f"{sum(named)} of {len(named)} refused"
-    )
+    return all(named) and not silent.parts and one == other == [10, 20, 30], f"{sum(named)} of {len(named)} refused"
 
 
 def front_end_signal_not_finite() -> Observed:
@@ -193,9 +189,7 @@ def front_end_signal_not_finite() -> Observed:
         finger.source.forces = lambda _now, value=value: (value, 0.0, -1.0)
         seen.append(finger.sync())
     held = all(ends) and all(one.contact == _HUSHED and one.status & scalar.SATURATED for one in seen)
-    return Observed(
-        held, f"{sum(ends)} of {len(ends)} at an end; node: status {[f'{one.status:02X}h' for one in seen]}"
-    )
+    return held, f"{sum(ends)} of {len(ends)} at an end; node: status {[f'{one.status:02X}h' for one in seen]}"
 
 
 def front_end_bridge_pole() -> Observed:
@@ -206,7 +200,7 @@ def front_end_bridge_pole() -> Observed:
     counts = [front_end.counts([pole * (1.0 + step)], 0)[0] for step in (-1e-3, -1e-12, 0.0, 1e-12, 1.0, 1e6)]
     gentle = front_end.counts([-1000.0, 1000.0], 0)
     held = counts == [front_end.count_min] * 6 and gentle == [-10010, 9990]
-    return Observed(held, f"{len(counts)} strains at and beyond the pole: {set(counts)}; +-1000 microstrain: {gentle}")
+    return held, f"{len(counts)} strains at and beyond the pole: {set(counts)}; +-1000 microstrain: {gentle}"
 
 
 def front_end_temperature() -> Observed:
@@ -223,4 +217,4 @@ def front_end_temperature() -> Observed:
         found = FrontEnd(temperature=lambda _s, value=value: value).temperature
         if not found or found.reading(0) != rig.UNKNOWN:
             wrong.append(value)
-    return Observed(not wrong, f"10 temperatures, wrong: {wrong or 'none'}")
+    return not wrong, f"10 temperatures, wrong: {wrong or 'none'}"

@@ -4,9 +4,8 @@ import math
 
 import numpy as np
 
-from stability.case import Observed, shortened
+from stability.case import Observed, refusal, shortened
 from tipforce.arrays import FloatArray
-from tipforce.errors import InputError
 from tipforce.sensor.calibration.fit import Fit, Model, Readings, fit_calibration
 from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.contact.estimate import force_vector
@@ -32,13 +31,9 @@ def _readings(
     return Readings(strain + noise * rng.standard_normal(strain.shape), P, phi, theta, np.arange(len(P), dtype=float))
 
 
-def _refusal(readings: Readings, model: Model | None = None) -> str:
+def _refusal(readings: Readings) -> str:
     """Return the error text of fit_calibration; empty without an error."""
-    try:
-        fit_calibration(readings, model)
-    except InputError as error:
-        return str(error)
-    return ""
+    return refusal(lambda: fit_calibration(readings))
 
 
 def _changed(readings: Readings, **columns: FloatArray) -> Readings:
@@ -51,14 +46,14 @@ def fit_too_few_loads() -> Observed:
     cannot show, or that no rows remain to estimate the noise"""
     said = [_refusal(_readings(slice(0, 6 * k, 6), tares=1)) for k in (1, 2, 3)]
     held = all("cannot show" in text or "too little" in text or "no residuals" in text for text in said)
-    return Observed(held, "; ".join(shortened(text, 60) for text in said))
+    return held, "; ".join(shortened(text, 60) for text in said)
 
 
 def fit_collinear_loads() -> Observed:
     """20 loads of 4.4 N, all with one direction and place, and 10 tares -> refused: InputError names the directions
     that no row determines and a load that would"""
     said = _refusal(_readings(slice(3, 4), repeats=20))
-    return Observed("cannot show 2 of the 4" in said and "add a load" in said, shortened(said, 160))
+    return "cannot show 2 of the 4" in said and "add a load" in said, shortened(said, 160)
 
 
 def fit_plane_of_loads() -> Observed:
@@ -68,14 +63,14 @@ def fit_plane_of_loads() -> Observed:
     F = force_vector(_P, phi, phi)
     strain = F @ strain_matrix(FABRICATED, "III").T + _NOISE * np.random.default_rng(13).standard_normal((60, 3))
     said = _refusal(Readings(strain, np.full(60, _P), phi, phi))
-    return Observed("F2 is 0 N in every row" in said, shortened(said, 160))
+    return "F2 is 0 N in every row" in said, shortened(said, 160)
 
 
 def fit_no_tare() -> Observed:
     """3 loads of 4.4 N, 10 times each, with offsets, no unloaded reading -> refused: InputError says that offset and
     sensitivity are not distinguishable, and requests tare rows"""
     said = _refusal(_readings(slice(5, 8), tares=0, repeats=10))
-    return Observed("cannot be told from a sensitivity" in said and "tare" in said, shortened(said, 200))
+    return "cannot be told from a sensitivity" in said and "tare" in said, shortened(said, 200)
 
 
 def fit_dead_gauge() -> Observed:
@@ -83,7 +78,7 @@ def fit_dead_gauge() -> Observed:
     A = strain_matrix(FABRICATED, "III")
     A[1] = 0.0
     said = _refusal(_readings(A=A))
-    return Observed(said.startswith("SG2 responds to no load"), shortened(said, 120))
+    return said.startswith("SG2 responds to no load"), shortened(said, 120)
 
 
 def fit_twin_gauges() -> Observed:
@@ -92,7 +87,7 @@ def fit_twin_gauges() -> Observed:
     A = strain_matrix(FABRICATED, "III")
     A[2] = A[0]
     said = _refusal(_readings(A=A))
-    return Observed("together do not respond" in said, shortened(said, 160))
+    return "together do not respond" in said, shortened(said, 160)
 
 
 def fit_not_finite() -> Observed:
@@ -105,7 +100,7 @@ def fit_not_finite() -> Observed:
         strain[17, 1], P[23] = bad, bad
         said += [_refusal(_changed(readings, strain=strain)), _refusal(_changed(readings, P_newtons=P))]
     held = all(("strain[17, 1]", "P_newtons[23]")[k % 2] in text for k, text in enumerate(said))
-    return Observed(held, f"{said[0]}; {said[1]}")
+    return held, f"{said[0]}; {said[1]}"
 
 
 def fit_time_backwards() -> Observed:
@@ -115,7 +110,7 @@ def fit_time_backwards() -> Observed:
     t = readings.t_s.copy()
     t[20:] -= 2.0
     said = _refusal(_changed(readings, t_s=t))
-    return Observed("t_s[20]" in said and "t_s[19]" in said, said)
+    return "t_s[20]" in said and "t_s[19]" in said, said
 
 
 def fit_saturated_rows() -> Observed:
@@ -128,7 +123,7 @@ def fit_saturated_rows() -> Observed:
     rows = sorted({row for row, _ in found.saturated})
     right = sorted(np.flatnonzero((np.abs(readings.strain) >= limit).any(axis=1)).tolist())
     off = _sigmas(found)
-    return Observed(rows == right and len(rows) >= 9 and off <= 4.0, f"{len(rows)} rows named, C off by {off:.1f} u")
+    return rows == right and len(rows) >= 9 and off <= 4.0, f"{len(rows)} rows named, C off by {off:.1f} u"
 
 
 def _sigmas(found: Fit) -> float:
@@ -152,7 +147,7 @@ def fit_outliers() -> Observed:
     off, plain = _sigmas(found), _relative(fit_calibration(_changed(readings, strain=strain), Model(loss="none")))
     held = set(rows) <= set(found.outliers) and len(found.outliers) <= len(rows) + 2 and off <= 4.0
     told = f"outliers {list(found.outliers)}, C off by {off:.1f} u, {_relative(found):.2%}"
-    return Observed(held and plain > 10.0 * _relative(found), f"{told}; least squares would be off by {plain:.1%}")
+    return held and plain > 10.0 * _relative(found), f"{told}; least squares would be off by {plain:.1%}"
 
 
 def fit_units() -> Observed:
@@ -164,7 +159,7 @@ def fit_units() -> Observed:
             found = fit_calibration(_changed(readings, strain=strain * readings.strain,
                                              P_newtons=load * readings.P_newtons))  # fmt: skip
             worst = max(worst, float(np.abs(found.C * strain / load / one.C - 1.0).max()))
-    return Observed(worst <= 1e-9, f"largest relative change of C {worst:.1e}")
+    return worst <= 1e-9, f"largest relative change of C {worst:.1e}"
 
 
 def fit_no_noise() -> Observed:
@@ -174,10 +169,10 @@ def fit_no_noise() -> Observed:
     off = float(np.abs(found.A - A).max() / np.abs(A).max())
     identity = float(np.abs(found.C @ found.A - np.eye(3)).max())
     finite = bool(np.isfinite(found.C_uncertainty).all())
-    return Observed(off <= 1e-9 and identity <= 1e-9 and finite, f"A off by {off:.1e}, C A - I {identity:.1e}")
+    return off <= 1e-9 and identity <= 1e-9 and finite, f"A off by {off:.1e}, C A - I {identity:.1e}"
 
 
 def fit_enormous_noise() -> Observed:
     """noise of 100 times the signal -> refused: InputError names the direction lost in the noise, or the gauge"""
     said = _refusal(_readings(noise=100.0 * 4.4 * float(np.abs(strain_matrix(FABRICATED, "III")).max())))
-    return Observed("lost in the noise" in said or "responds to no load" in said, shortened(said, 160))
+    return "lost in the noise" in said or "responds to no load" in said, shortened(said, 160)

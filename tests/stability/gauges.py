@@ -51,7 +51,7 @@ def gauge_saturated() -> Observed:
         held &= bool(found.status & scalar.SATURATED) and finger.get("H", indices.FAULTS) == 1
         held &= codes == [table.EMCY_GAUGE_SATURATED]
         figures.append(f"SG1 {found.gauges[0] / 10:g}, 6150h {status:02.0f}h, status {found.status:02X}h")
-    return Observed(held, "; ".join(figures))
+    return held, "; ".join(figures)
 
 
 def gauge_open() -> Observed:
@@ -63,7 +63,7 @@ def gauge_open() -> Observed:
     faults, codes = int(finger.get("H", indices.FAULTS)), finger.emcy()
     held = found.contact == _HUSHED and found.gauges == _HUSHED and bool(found.status & scalar.FRONT_END_FAULT)
     held &= bool(faults >> table.FAULT_WIRE_BREAK & 1) and table.EMCY_FRONT_END in codes
-    return Observed(held, f"status {found.status:02X}h, 2124h {faults:04X}h, EMCY {_hex(codes)}")
+    return held, f"status {found.status:02X}h, 2124h {faults:04X}h, EMCY {_hex(codes)}"
 
 
 def gauge_stuck() -> Observed:
@@ -78,7 +78,7 @@ def gauge_stuck() -> Observed:
     held = count < 33 and known == [True] * count + [False] * (60 - count)
     held &= bool(last.status & scalar.FRONT_END_FAULT)
     held &= faults == 1 << table.FAULT_FROZEN and codes == [table.EMCY_FRONT_END]
-    return Observed(held, f"shown for {count} readings, then status {last.status:02X}h, 2124h {faults:04X}h")
+    return held, f"shown for {count} readings, then status {last.status:02X}h, 2124h {faults:04X}h"
 
 
 def gauge_stuck_without_noise() -> Observed:
@@ -95,7 +95,7 @@ def gauge_stuck_without_noise() -> Observed:
     missed = 1e-6 * (finger.get("f", indices.PROCESS_VALUE, 1) - 100.0 * rig.forces(finger.source.load)[0])
     most = np.abs(np.array(rig.matrix())[:, 0] * missed) + 0.5e-3 * math.sqrt(3.0)
     held = found.contact != _HUSHED and bool((np.abs(off) <= most).all()) and abs(off[0]) > 0.1
-    return Observed(held, f"no flag in 100 readings; F off by {off[0]:+.3f}, {off[1]:+.3f}, {off[2]:+.3f} N")
+    return held, f"no flag in 100 readings; F off by {off[0]:+.3f}, {off[1]:+.3f}, {off[2]:+.3f} N"
 
 
 def gauge_silent() -> Observed:
@@ -111,7 +111,7 @@ def gauge_silent() -> Observed:
     held = bool(first.status & scalar.STALE) and first.contact == first.gauges == last.contact == _HUSHED
     held &= bool(last.status & scalar.FRONT_END_FAULT) and faults == 1 << table.FAULT_NO_DATA
     held &= codes == [table.EMCY_FRONT_END]
-    return Observed(held, f"status {first.status:02X}h at once, {last.status:02X}h after 121 ms, 2124h {faults:04X}h")
+    return held, f"status {first.status:02X}h at once, {last.status:02X}h after 121 ms, 2124h {faults:04X}h"
 
 
 def _counts(load: rig.Load, n: int, lost: Sequence[int]) -> list[int]:
@@ -136,16 +136,14 @@ def gauge_eight_five_lost() -> Observed:
         faults = int(finger.get("H", indices.FAULTS))
         held &= bool(found.status & scalar.SATURATED) and faults == sum(1 << k for k in lost)
         held &= found.contact != _HUSHED and rig.UNKNOWN not in found.contact
-    return Observed(
-        held and worst <= 0.6e-3, f"3 sets of 5 lost: F off by at most {1e3 * worst:.2f} mN, one count is 1 mN"
-    )
+    return held and worst <= 0.6e-3, f"3 sets of 5 lost: F off by at most {1e3 * worst:.2f} mN, one count is 1 mN"
 
 
 def gauge_eight_no_rank() -> Observed:
     """8 gauges, 5 saturated, the other 3 respond to F1 twice and F2 -> flagged: P and both angles are unknown: the rank
     is below 3"""
     _, found = _eight((1, 2, 3, 4, 5))  # left: SG1 and SG7 see F1, SG8 sees F2
-    return Observed(found.contact == _HUSHED and bool(found.status & scalar.SATURATED), f"status {found.status:02X}h")
+    return found.contact == _HUSHED and bool(found.status & scalar.SATURATED), f"status {found.status:02X}h"
 
 
 def gauge_eight_all_lost() -> Observed:
@@ -153,7 +151,7 @@ def gauge_eight_all_lost() -> Observed:
     finger, found = _eight(range(8))
     shown = {finger.get("h", indices.PROCESS_VALUE + table.INT16_FORM, sub) for sub in range(1, 9)}
     held = found.contact == _HUSHED and shown == {32767} and finger.get("H", indices.FAULTS) == 0xFF
-    return Observed(held, f"status {found.status:02X}h, gauges at {shown}, 2124h 00FFh")
+    return held, f"status {found.status:02X}h, gauges at {shown}, 2124h 00FFh"
 
 
 def _pairs(n: int) -> list[list[int]]:
@@ -188,7 +186,7 @@ def gauge_swapped_six() -> Observed:
     alarms = int(redundancy.detect(model, V).fault.sum())
     held = harmful > 100 and min(shares) > 0.5 and alarms == 0
     told = f"{caught} of {harmful} harmful contacts, {min(shares):.0%} or more of each pair"
-    return Observed(held, f"{told}; {alarms} alarms of {len(F)} unswapped")
+    return held, f"{told}; {alarms} alarms of {len(F)} unswapped"
 
 
 def gauge_swapped_three() -> Observed:
@@ -204,11 +202,9 @@ def gauge_swapped_three() -> Observed:
         worst, least = max(worst, off / (math.sqrt(2.0) * float(np.linalg.norm(C, 2)) * moved)), min(least, off)
         # Any reading of three gauges corresponds to a force: there is no residual.
         if np.abs(A @ (C @ V[order]) - V[order]).max() > 1e-12 * np.abs(V).max():
-            return Observed(False, "a residual shows")
+            return False, "a residual shows"
     held = worst <= 1.0 and least > 0.01
-    return Observed(
-        held, f"no residual in any of 3 swaps; F of 1 N off by {least:.2f} N or more, {worst:.0%} of the bound"
-    )
+    return held, f"no residual in any of 3 swaps; F of 1 N off by {least:.2f} N or more, {worst:.0%} of the bound"
 
 
 def gauge_swapped_control_load() -> Observed:
@@ -222,9 +218,7 @@ def gauge_swapped_control_load() -> Observed:
     for order in _pairs(3):
         off = (F @ A.T)[:, order] @ C.T - F
         largest.append(float(np.sqrt(np.einsum("ij,jk,ik->i", off, np.linalg.inv(Sigma_F), off)).max()))
-    return Observed(
-        min(largest) > 10.0, f"deviations of {', '.join(f'{d:.0f}' for d in largest)} standard uncertainties"
-    )
+    return min(largest) > 10.0, f"deviations of {', '.join(f'{d:.0f}' for d in largest)} standard uncertainties"
 
 
 def gauge_drift() -> Observed:
@@ -241,9 +235,7 @@ def gauge_drift() -> Observed:
     finger.sync()
     after = finger.get("f", indices.PROCESS_VALUE, 6)
     held = worst <= 0.015 and before > 0.15 and abs(after) < 0.02
-    return Observed(
-        held, f"F3 follows within {1e3 * worst:.0f} mN (noise 3 mN), {before:.3f} N, after the tare {after:.3f} N"
-    )
+    return held, f"F3 follows within {1e3 * worst:.0f} mN (noise 3 mN), {before:.3f} N, after the tare {after:.3f} N"
 
 
 def _hex(codes: Sequence[int]) -> str:

@@ -29,7 +29,7 @@ def impact_linear_rigid() -> Observed:
             worst = max(worst, abs(touch.peak_newtons / (_SPEED * math.sqrt(k * m)) - 1.0),
                         abs((touch.end_s - touch.begin_s) / duration - 1.0),
                         abs(found.body_speed_m_s / -_SPEED - 1.0))  # fmt: skip
-    return Observed(worst <= 1e-12, f"16 impacts, largest relative error {worst:.1e}")
+    return worst <= 1e-12, f"16 impacts, largest relative error {worst:.1e}"
 
 
 def impact_hertz_rigid() -> Observed:
@@ -47,7 +47,7 @@ def impact_hertz_rigid() -> Observed:
             worst = max(worst, abs(touch.peak_newtons / peak - 1.0),
                         abs((touch.end_s - touch.begin_s) / duration - 1.0),
                         abs(found.body_speed_m_s / -_SPEED - 1.0))  # fmt: skip
-    return Observed(worst <= 1e-11, f"8 impacts, largest relative error {worst:.1e}")
+    return worst <= 1e-11, f"8 impacts, largest relative error {worst:.1e}"
 
 
 def _total(found: Impact, structure: Modes, striker: Striker) -> float:
@@ -76,7 +76,7 @@ def _kept(exponent: float) -> Observed:
         # Just after the end of the last touch the contact has no energy.
         found = impact(structure, striker, until * (1.0 + 1e-9))
         worst = max(worst, abs(_total(found, structure, striker) / (0.5 * _MASS_KG * _SPEED**2) - 1.0))
-    return Observed(worst <= 1e-9 and touches >= 4, f"{touches} touches, energy off by at most {worst:.1e}")
+    return worst <= 1e-9 and touches >= 4, f"{touches} touches, energy off by at most {worst:.1e}"
 
 
 def impact_contact_force() -> Observed:
@@ -92,9 +92,7 @@ def impact_contact_force() -> Observed:
         least, stray = min(least, float(force.min())), stray + int((force[~inside] != 0.0).sum())
         touches += len(found.touches)
     # At the very ends of a touch the force is 0 to rounding.
-    return Observed(
-        least >= -1e-9 and stray == 0, f"{touches} touches, least force {least:.1e} N, {stray} stray samples"
-    )
+    return least >= -1e-9 and stray == 0, f"{touches} touches, least force {least:.1e} N, {stray} stray samples"
 
 
 def impact_fixed_steps() -> Observed:
@@ -108,7 +106,7 @@ def impact_fixed_steps() -> Observed:
         seen = integrators.newmark(integrators.Problem(structure, striker), integrators.no_load, t)
         errors.append(float(np.abs(seen - right).max() / np.abs(right).max()))
     held = errors[0] > errors[1] > errors[2] > 1e-12 and errors[2] < 0.02
-    return Observed(held, f"relative errors at 100, 10 and 1 us: {', '.join(f'{error:.1e}' for error in errors)}")
+    return held, f"relative errors at 100, 10 and 1 us: {', '.join(f'{error:.1e}' for error in errors)}"
 
 
 def impact_stop() -> Observed:
@@ -118,7 +116,7 @@ def impact_stop() -> Observed:
     for speed in (1e-3, 1e-2, 0.1, 1.0):
         per_speed.append(impact(structure, Striker(math.inf, speed, 1e7), 1e-3).touches[0].peak_newtons / speed)
     spread = max(per_speed) / min(per_speed) - 1.0
-    return Observed(spread <= 1e-9, f"peak {per_speed[0]:.4g} N per m/s, spread {spread:.1e}")
+    return spread <= 1e-9, f"peak {per_speed[0]:.4g} N per m/s, spread {spread:.1e}"
 
 
 def impact_mass_ratio() -> Observed:
@@ -132,7 +130,7 @@ def impact_mass_ratio() -> Observed:
         found = impact(structure, striker, 20.0 * math.sqrt(together / k))
         shares.append(found.touches[0].peak_newtons / (_SPEED * math.sqrt(k * together)))
     held = max(shares) <= 1.001 and min(shares) >= 0.999
-    return Observed(held, f"first peaks are {min(shares):.6f} to {max(shares):.6f} of that")
+    return held, f"first peaks are {min(shares):.6f} to {max(shares):.6f} of that"
 
 
 def impact_impossible() -> Observed:
@@ -150,9 +148,7 @@ def impact_impossible() -> Observed:
         refusal(lambda: impact(None, good, 1e-3, [2e-3])),
         refusal(lambda: impact(None, good, 1e-3, [math.nan])),
     ]
-    return Observed(
-        all("allowed" in text for text in said), f"{sum(map(bool, said))} of {len(said)} refused: {said[0]}"
-    )
+    return all("allowed" in text for text in said), f"{sum(map(bool, said))} of {len(said)} refused: {said[0]}"
 
 
 def impact_softest() -> Observed:
@@ -165,7 +161,7 @@ def impact_softest() -> Observed:
     lasted = found.touches[0].end_s / (math.pi * math.sqrt(together / striker.stiffness))
     off = abs(_total(found, structure, striker) / (0.5 * striker.mass_kg * striker.speed_m_s**2) - 1.0)
     held = off <= 1e-9 and len(found.touches) == 1 and abs(lasted - 1.0) <= 1e-9
-    return Observed(held, f"touch of {found.touches[0].end_s:.3g} s, energy off by {off:.1e}")
+    return held, f"touch of {found.touches[0].end_s:.3g} s, energy off by {off:.1e}"
 
 
 def impact_slit() -> Observed:
@@ -186,6 +182,4 @@ def impact_slit() -> Observed:
         worst = max(worst, float(excess.max()) / stop.gap_m, float(-forces.min()))
         touches.append(len(found.touches))
     held = worst <= 1e-9 and touches[0] == 0 and all(touches[1:])
-    return Observed(
-        held, f"closes at {load:.3g} N; touches {touches}; deeper than the stop allows by {max(worst, 0.0):.1e}"
-    )
+    return held, f"closes at {load:.3g} N; touches {touches}; deeper than the stop allows by {max(worst, 0.0):.1e}"

@@ -29,7 +29,7 @@ def layout_thickness() -> Observed:
     """h1 from 1e-6 mm to 10 mm, h2 = 1.63 h1, all 8 gauge points -> pass: the frame, solved by stiffness, equals Table
     1 within 1e-10 of each gauge's largest coefficient"""
     worst = max(_off(FABRICATED.thin(float(h1))) for h1 in _THICKNESSES_M)
-    return Observed(worst <= 1e-10, f"largest difference {worst:.1e} over {len(_THICKNESSES_M)} thicknesses")
+    return worst <= 1e-10, f"largest difference {worst:.1e} over {len(_THICKNESSES_M)} thicknesses"
 
 
 def layout_stiffness_ratio() -> Observed:
@@ -40,7 +40,7 @@ def layout_stiffness_ratio() -> Observed:
         ratio = 10.0 ** (power / 3.0)
         h1 = 1e-5 if power > 0.0 else 5e-3
         worst = max(worst, _off(replace(FABRICATED, h1_m=h1, h2_m=h1 * ratio)))
-    return Observed(worst <= 1e-10, f"largest difference {worst:.1e} over stiffness ratios 1e-8 to 1e8")
+    return worst <= 1e-10, f"largest difference {worst:.1e} over stiffness ratios 1e-8 to 1e8"
 
 
 def layout_models() -> Observed:
@@ -57,7 +57,7 @@ def layout_models() -> Observed:
         # Below 1e-12 is rounding.
         held &= offs[0] <= 1e-5 and all(a <= b + 1e-12 for a, b in itertools.pairwise(offs))
         figures.append(f"{name} {offs[0]:.0e} to {offs[-1]:.0e}")
-    return Observed(held, "; ".join(figures))
+    return held, "; ".join(figures)
 
 
 def layout_thin_limit() -> Observed:
@@ -67,7 +67,7 @@ def layout_thin_limit() -> Observed:
     for name in LAYOUTS:
         exact = condition_number(thin_limit_matrix(name))
         worst = max(worst, abs(condition_number(strain_matrix(FABRICATED.thin(1e-9), name)) / exact - 1.0))
-    return Observed(worst <= 1e-5, f"{len(LAYOUTS)} layouts, largest difference {worst:.1e}")
+    return worst <= 1e-5, f"{len(LAYOUTS)} layouts, largest difference {worst:.1e}"
 
 
 def layout_too_thin() -> Observed:
@@ -78,7 +78,7 @@ def layout_too_thin() -> Observed:
         geometry = replace(FABRICATED, h1_m=h1, h2_m=THIN_BEAM_RATIO * h1)
         said.append(refusal(lambda geometry=geometry: strain_matrix(geometry, "III")) if h1 < 1.0 else "too thick")  # type: ignore[misc]
         said.append(refusal(lambda geometry=geometry: Frame(geometry)))  # type: ignore[misc]
-    return Observed(all("too thin" in text or "too thick" in text for text in said), shortened(said[1], 90))
+    return all("too thin" in text or "too thick" in text for text in said), shortened(said[1], 90)
 
 
 def layout_impossible() -> Observed:
@@ -88,7 +88,7 @@ def layout_impossible() -> Observed:
         for value in (0.0, -1e-3, math.nan, math.inf, -math.inf, True):
             count += 1
             named += name in refusal(lambda name=name, value=value: replace(FABRICATED, **{name: value}))  # type: ignore[misc]
-    return Observed(count == named == 42, f"{named} of {count} refused by name")
+    return count == named == 42, f"{named} of {count} refused by name"
 
 
 def layout_condition_1e14() -> Observed:
@@ -104,7 +104,7 @@ def layout_condition_1e14() -> Observed:
         exact = largest_squared / e
         for found in (condition_number(rows), scalar_condition.condition_number(rows)):
             worst = max(worst, abs(found / exact - 1.0) / (exact * 2.0**-52))
-    return Observed(worst <= 8.0, f"worst error {worst:.2f} x 2^-52 x condition number, up to {exact:.1e}")
+    return worst <= 8.0, f"worst error {worst:.2f} x 2^-52 x condition number, up to {exact:.1e}"
 
 
 def layout_condition_graded() -> Observed:
@@ -122,7 +122,7 @@ def layout_condition_graded() -> Observed:
         across = _across([[Fraction(x) for x in row] for row in tilted])
         exact = math.sqrt(6.0) / math.sqrt(float(across / Fraction(grade) ** 2)) / grade
         worst = max(worst, abs(scalar_condition.condition_number(tilted) / exact - 1.0))
-    return Observed(worst <= 1e-12, f"worst relative error {worst:.1e} of condition numbers up to 1e150")
+    return worst <= 1e-12, f"worst relative error {worst:.1e} of condition numbers up to 1e150"
 
 
 def _across(rows: list[list[Fraction]]) -> Fraction:
@@ -145,7 +145,7 @@ def layout_singular() -> Observed:
     }
     least = min(min(condition_number(rows), scalar_condition.condition_number(rows)) for rows in matrices.values())
     nan = scalar_condition.condition_number([[1.0, 2.0, math.nan], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    return Observed(least > 1e15 and math.isnan(nan) and not nan <= math.inf, f"least {least:.1e}; with NaN {nan}")
+    return least > 1e15 and math.isnan(nan) and not nan <= math.inf, f"least {least:.1e}; with NaN {nan}"
 
 
 def layout_rank_2() -> Observed:
@@ -165,9 +165,7 @@ def layout_rank_2() -> Observed:
         off = float(np.abs(calibration_matrix(geometry, gauges) @ A - np.eye(3)).max())
         held &= off <= 8.0 * 2.0**-52 * kappa
         largest = max(largest, kappa)
-    return Observed(
-        held and refused > 0 and largest > 1e13, f"C up to condition {largest:.1e}, {refused} thinner bodies refused"
-    )
+    return held and refused > 0 and largest > 1e13, f"C up to condition {largest:.1e}, {refused} thinner bodies refused"
 
 
 def layout_merit_of_rank_2() -> Observed:
@@ -177,6 +175,4 @@ def layout_merit_of_rank_2() -> Observed:
     A[2] = 2.0 * A[0]
     found = merit(A, 0.3, LoadSet())
     figures = found.u_P_newtons, found.u_phi_deg, found.u_theta_deg, found.noise_gain_newtons, found.condition_number
-    return Observed(
-        all(map(math.isinf, figures)), f"u_P {found.u_P_newtons}, condition number {found.condition_number}"
-    )
+    return all(map(math.isinf, figures)), f"u_P {found.u_P_newtons}, condition number {found.condition_number}"

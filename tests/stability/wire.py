@@ -8,11 +8,10 @@ import numpy as np
 
 from canopen_device.core import codes, communication, emcy
 from fingertip import finger as rig
-from stability.case import Observed
+from stability.case import Observed, refusal
 from tipforce.dictionary import indices, table
 from tipforce.dictionary.entries import entries
 from tipforce.dictionary.signals import tpdo_messages
-from tipforce.errors import InputError
 from tipforce.host.decoding import decoder as decode
 from tipforce.host.frames.frame_array import FrameArray, frame_array
 
@@ -45,8 +44,8 @@ def wire_real32_not_finite() -> Observed:
             abort = finger.put("f", index, sub, value)
             refused += abort != 0 and finger.upload(index, sub) == before
             if abort and abort not in (codes.INVALID_VALUE, codes.DEVICE_STATE):
-                return Observed(False, f"{index:04X}h:{sub}: {abort:08X}h")
-    return Observed(tried == refused and tried > 100, f"{refused} of {tried} writes refused")
+                return False, f"{index:04X}h:{sub}: {abort:08X}h"
+    return tried == refused and tried > 100, f"{refused} of {tried} writes refused"
 
 
 def wire_real32_denormal() -> Observed:
@@ -57,7 +56,7 @@ def wire_real32_denormal() -> Observed:
         data = struct.pack("<f", 2.0**power)
         index = indices.INTERRUPT_DELTA
         kept += finger.download(index, 1, data) == 0 and finger.upload(index, 1) == data
-    return Observed(kept == 24, f"{kept} of 24 kept")
+    return kept == 24, f"{kept} of 24 kept"
 
 
 def wire_real32_overflow() -> Observed:
@@ -77,7 +76,7 @@ def wire_real32_overflow() -> Observed:
     )  # fmt: skip
     held = taken and strain == struct.unpack("<f", struct.pack("<f", 3.4e38))[0] and math.isfinite(F1)
     held &= forms == (math.inf, 32767, 0x7FFFFFFF, 3)
-    return Observed(held, f"F1 in the three forms {forms[:3]}, 6150h {forms[3]:02.0f}h")
+    return held, f"F1 in the three forms {forms[:3]}, 6150h {forms[3]:02.0f}h"
 
 
 def wire_integer16_overflow() -> Observed:
@@ -101,7 +100,7 @@ def wire_integer16_overflow() -> Observed:
         held &= short == (round(long) if inside else math.copysign(32767, F1))
         held &= status == (0 if inside else 3 if F1 > 0 else 5)
         seen.append(f"{exact:g} N: {short:g}/{status}")
-    return Observed(held, "; ".join(seen))
+    return held, "; ".join(seen)
 
 
 def _frames(message_number: int, payloads: list[bytes]) -> tuple[FrameArray, str]:
@@ -123,7 +122,7 @@ def wire_unknown() -> Observed:
             checked += 1
             found = decode.Decoder().decode(frames)[rig.NODE_ID, name]
             wrong += np.isnan(found.columns[signal.name]).tolist() != [True, False, False, False]
-    return Observed(checked >= 9 and wrong == 0, f"{checked} signals, {wrong} wrong")
+    return checked >= 9 and wrong == 0, f"{checked} signals, {wrong} wrong"
 
 
 def wire_real32_nan_pdo() -> Observed:
@@ -139,7 +138,7 @@ def wire_real32_nan_pdo() -> Observed:
     columns = found[rig.NODE_ID, "Force"].columns
     values, counters = columns["F1"].tolist(), columns["counter"].tolist()
     held = all(map(math.isnan, values[:3])) and values[3:] == [math.inf, -math.inf, 2.0**-149, 1.0]
-    return Observed(held and counters == list(range(200, 207)), f"{values}")
+    return held and counters == list(range(200, 207)), f"{values}"
 
 
 def wire_short_pdo() -> Observed:
@@ -156,7 +155,7 @@ def wire_short_pdo() -> Observed:
     decoder.remap(rig.NODE_ID, "Contact", _CONTACT_COB_ID, [(indices.PROCESS_VALUE + table.INT16_FORM, 7, 16)])
     longer = decoder.decode(frame_array([(0, _CONTACT_COB_ID, b"\xe8\x03" + bytes(6))]))[rig.NODE_ID, "Contact"]
     held = right == total and longer.columns["P"].tolist() == [1.0] and not decoder.malformed
-    return Observed(held, f"{right} of {total} messages; 8 bytes for a mapping of 2: P {longer.columns['P'][0]:g} N")
+    return held, f"{right} of {total} messages; 8 bytes for a mapping of 2: P {longer.columns['P'][0]:g} N"
 
 
 def wire_short_rpdo() -> Observed:
@@ -171,7 +170,7 @@ def wire_short_rpdo() -> Observed:
     finger.step([(_RPDO_COB_ID, b"\x01\x00")])
     cured, after = finger.emcy(), finger.get("f", indices.TARE, 3)
     held = codes == [emcy.PDO_LENGTH] and tare == 0.0 and cured == [0] and abs(after + 0.996) < 1e-3
-    return Observed(held, f"EMCY {[f'{code:04X}h' for code in codes]}, tare {tare:g} N, then {after:.3f} N")
+    return held, f"EMCY {[f'{code:04X}h' for code in codes]}, tare {tare:g} N, then {after:.3f} N"
 
 
 def wire_no_data() -> Observed:
@@ -186,7 +185,7 @@ def wire_no_data() -> Observed:
     after = finger.sync()
     held = after[:3] == before[:3] and after.counter == before.counter + 1 and finger.calibration() == active
     held &= all(can_id == codes.EMCY_BASE + rig.NODE_ID for can_id, _ in answers)  # EMCY of the RPDO's length
-    return Observed(held, f"{len(_IDENTIFIERS)} identifiers, answers: {[hex(can_id) for can_id, _ in answers]}")
+    return held, f"{len(_IDENTIFIERS)} identifiers, answers: {[hex(can_id) for can_id, _ in answers]}"
 
 
 def wire_same_cob_id() -> Observed:
@@ -195,14 +194,11 @@ def wire_same_cob_id() -> Observed:
     finger = rig.finger(emcy=True)
     for _ in range(3):
         finger.step([(_GAUGES_COB_ID, bytes(8))])
-    codes, decoder, said = finger.emcy(), decode.Decoder(), ""
-    decoder.remap(5, "Contact", _FREE_COB_ID, [(indices.PROCESS_VALUE + table.INT16_FORM, 7, 16)])
-    try:
-        decoder.remap(6, "Contact", _FREE_COB_ID, [(indices.PROCESS_VALUE + table.INT16_FORM, 7, 16)])
-    except InputError as error:
-        said = str(error)
+    codes, decoder, mapped = finger.emcy(), decode.Decoder(), [(indices.PROCESS_VALUE + table.INT16_FORM, 7, 16)]
+    decoder.remap(5, "Contact", _FREE_COB_ID, mapped)
+    said = refusal(lambda: decoder.remap(6, "Contact", _FREE_COB_ID, mapped))
     held = codes == [emcy.COB_ID_COLLISION] and "already assigned to Contact of node 5" in said
-    return Observed(held, f"EMCY {codes[0]:04X}h; {said}")
+    return held, f"EMCY {codes[0]:04X}h; {said}"
 
 
 def wire_foreign() -> Observed:
@@ -212,7 +208,7 @@ def wire_foreign() -> Observed:
     frames = frame_array((k, _GAUGES_COB_ID | flag, bytes(range(8))) for k, flag in enumerate(flags))
     decoder = decode.Decoder()
     found = decoder.decode(frames)
-    return Observed(not found and not decoder.malformed, f"{len(flags)} kinds of frame, {len(found)} decoded")
+    return not found and not decoder.malformed, f"{len(flags)} kinds of frame, {len(found)} decoded"
 
 
 def wire_noise() -> Observed:
@@ -233,4 +229,4 @@ def wire_noise() -> Observed:
     finger.take()
     found = finger.sync()
     held = finger.calibration() == active and found.contact[0] == 1000
-    return Observed(held, f"{len(frames)} frames, {len(samples)} messages decoded, P still {found.contact[0]} mN")
+    return held, f"{len(frames)} frames, {len(samples)} messages decoded, P still {found.contact[0]} mN"

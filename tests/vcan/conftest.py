@@ -11,7 +11,7 @@ from tipforce.host.network.interfaces import interfaces
 from vcan.support import Command, Launch, RawBus, running_node
 
 BUSES = ("vcan0", "vcan1")
-PEERS = ("candump", "cangen")
+PEERS = ("candump", "canplayer")
 
 
 def pytest_collection_modifyitems() -> None:

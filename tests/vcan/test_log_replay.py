@@ -1,24 +1,14 @@
-"""`tipforce log` and `replay` beside canplayer, candump and tshark on a real vcan; and the receive path under load."""
+"""`tipforce log` and `replay` beside canplayer, candump and tshark on a real vcan."""
 
-import socket
-import struct
 import subprocess
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from tipforce.host.decoding.decoder import Decoder
-from tipforce.host.live.receive import SocketReceiver, open_receiver, open_socket
-from tipforce.host.live.receiver import Filter, Selection
 from vcan.support import WAIT_S, Command, Launch, RawBus, wait_until
 from vcan.test_dump_options import EVERYTHING, fd_bus, listening_candump, traffic
-
-STORM = 5_000  # each counter wraps three times; `bench.live` sends more
-PART = 100  # frames in one go; in User-mode Linux the receiver has the same one processor as the sender
 
 
 @contextmanager
@@ -90,57 +80,3 @@ def test_an_interface_that_goes_down_and_comes_back(launch: Launch, tmp_path: Pa
             bus.send(0x123, b"\x01")
             wait_until(lambda: path.stat().st_size > 0, "nothing is recorded afterwards")
     assert without_time(path) == ["vcan1 123#01"]
-
-
-def test_the_receive_path_loses_nothing() -> None:
-    """Contact PDOs of five nodes and frames that the kernel's filter leaves out, in parts that the buffer holds."""
-    contact = struct.Struct("=IB3xHhhBB")
-    taken = threading.Semaphore(2)
-    selection = Selection((Filter(0x280, 0x780),))
-
-    def send() -> None:
-        with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as bus:
-            bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"")
-            bus.bind(("vcan0",))
-            for number in range(STORM):
-                if number % PART == 0:
-                    assert taken.acquire(timeout=WAIT_S)
-                bus.send(contact.pack(0x281 + number % 5, 8, number % 30_000, 1, 2, 3, number // 5 % 256))
-                bus.send(contact.pack(0x181, 8, 0, 0, 0, 0, 0))
-
-    thread = threading.Thread(target=send)
-    decoder = Decoder(node_ids=range(1, 6))
-    numbers: dict[int, list[int]] = {node_id: [] for node_id in range(1, 6)}
-    stamps: list[int] = []
-    with open_receiver({"interface": "socketcan", "channel": "vcan0"}, selection) as receiver:
-        thread.start()
-        done = 0
-        while done < STORM:
-            frames = receiver.receive(WAIT_S)
-            assert len(frames), "nothing comes"
-            for samples in decoder.decode(frames).values():
-                numbers[samples.node_id] += np.round(samples.columns["P"] * 1000).astype(int).tolist()
-            stamps += frames["t_ns"].tolist()
-            for _ in range((done + len(frames)) // PART - done // PART):
-                taken.release()
-            done += len(frames)
-        thread.join()
-        assert receiver.dropped == 0
-    for node_id, found in numbers.items():
-        assert found == [number % 30_000 for number in range(node_id - 1, STORM, 5)]
-    assert stamps == sorted(stamps)
-
-
-def test_what_the_kernel_dropped_is_counted(bus: RawBus) -> None:
-    one = open_socket("vcan0", Selection())
-    one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 16)
-    with SocketReceiver(one, "vcan0") as receiver:
-        for number in range(2000):  # far more than the buffer of the socket holds
-            bus.send(0x123, struct.pack("<q", number))
-        count = 0
-        while len(frames := receiver.receive(0.5)):
-            count += len(frames)
-        bus.send(0x124, b"")  # the counter travels with a frame
-        count += len(receiver.receive(WAIT_S))
-        assert count + receiver.dropped == 2001
-        assert receiver.dropped > 0

@@ -5,6 +5,7 @@ import struct
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import cached_property
 from typing import TypeAlias
 
 from canopen_conformance import wire
@@ -49,8 +50,6 @@ class Dut:
         self.pdo_id = self.upload_index = 0
         self._pending: deque[Frame] = deque(maxlen=_KEPT)
         self._survey: dict[tuple[int, int], bool] = {}
-        self._product_code: int | None = None
-        self._starts_by_itself: bool | None = None
         self._own_sync: list[tuple[int, bytes]] | None = None
         self._fresh = False  # as after a reset: since then only objects were read
         self._reset_command = wire.RESET_NODE
@@ -139,7 +138,7 @@ class Dut:
     def reset(self, command: int = wire.RESET_NODE) -> None:
         """Reset the device and wait for its boot-up, then PRE-OPERATIONAL; earlier frames are discarded."""
         self.boot(command)
-        if self.starts_by_itself():
+        if self.starts_by_itself:
             self.nmt(wire.ENTER_PRE_OPERATIONAL)
             self.sleep(wire.QUIET_MS)  # for the PDOs of its short time in OPERATIONAL
             self._pending.clear()
@@ -186,14 +185,13 @@ class Dut:
         with suppress(CheckError):
             self.is_of_product()
 
+    @cached_property
     def starts_by_itself(self) -> bool:
-        """Return whether the device enters OPERATIONAL after its boot-up (CiA 302-2, 1F80h), by 1F80h or heartbeat."""
-        if self._starts_by_itself is None:
-            self._starts_by_itself = False
-            with suppress(CheckError):  # a device without SDO fails the cases of SDO
-                startup = self.try_read(0x1F80)
-                self._starts_by_itself = not startup[0] & 4 if isinstance(startup, bytes) else self._beats_operational()
-        return self._starts_by_itself
+        """Whether the device enters OPERATIONAL after its boot-up (CiA 302-2, 1F80h), by 1F80h or heartbeat."""
+        with suppress(CheckError):  # a device without SDO fails the cases of SDO
+            startup = self.try_read(0x1F80)
+            return not startup[0] & 4 if isinstance(startup, bytes) else self._beats_operational()
+        return False
 
     def _beats_operational(self) -> bool:
         period = self.try_read(0x1017)
@@ -206,7 +204,7 @@ class Dut:
 
     def waits_for_start(self) -> None:
         """End a case about the state after the boot-up for a device that starts by itself."""
-        if self.starts_by_itself():
+        if self.starts_by_itself:
             raise NotApplicableError("the device enters OPERATIONAL by itself after its boot-up")
 
     def boot_up(self) -> Frame:
@@ -257,13 +255,9 @@ class Dut:
         right = data[:4] == struct.pack("<BHB", 0x80, index, sub) and int.from_bytes(data[4:], "little") in codes
         check(right, f"abort {shown} of {index:04X}h:{sub:02X}", data.hex(" ").upper())
 
-    def upload_aborted(self, *codes: int, within_ms: float = 1000) -> None:
-        """Check that the next SDO frame aborts the upload that the case has begun."""
-        self.aborted(self.upload_index, 0, *codes, within_ms=within_ms)
-
-    def abort_upload(self) -> None:
-        """Abort the upload that the case has begun."""
-        self.request(struct.pack("<BHBI", 0x80, self.upload_index, 0, Abort.GENERAL_ERROR))
+    def abort(self, index: int, sub: int = 0) -> None:
+        """Abort the transfer of an object."""
+        self.request(struct.pack("<BHBI", 0x80, index, sub, Abort.GENERAL_ERROR))
 
     def try_read(self, index: int, sub: int = 0) -> bytes | int:
         """Upload, expedited or segmented: return the data, or the abort code."""
@@ -373,17 +367,16 @@ class Dut:
             self._survey[key] = not lacks
             if first[0] != 0x80 and not first[0] & 2:
                 # Segments would follow, ten thousand of them for the EDS in 1021h: the initiate response is enough.
-                self.request(struct.pack("<BHBI", 0x80, index, sub, Abort.GENERAL_ERROR))
+                self.abort(index, sub)
             self._fresh = fresh
         return self._survey[key]
 
     def is_of_product(self) -> bool:
         """Return whether 1018h:2 is a product code of ``product``."""
-        return self.product is not None and self.product_code() & self.product.mask == self.product.code
+        return self.product is not None and self.product_code & self.product.mask == self.product.code
 
+    @cached_property
     def product_code(self) -> int:
-        """Return 1018h:2, which is read once; 0 where it cannot be read."""
-        if self._product_code is None:
-            data = self.try_read(0x1018, 2)
-            self._product_code = int.from_bytes(data, "little") if isinstance(data, bytes) else 0
-        return self._product_code
+        """1018h:2, which is read once; 0 where it cannot be read."""
+        data = self.try_read(0x1018, 2)
+        return int.from_bytes(data, "little") if isinstance(data, bytes) else 0

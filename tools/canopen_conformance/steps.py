@@ -5,6 +5,7 @@ running case knows are ``late``.
 """
 
 import math
+import struct
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
@@ -97,6 +98,15 @@ def unchanged(dut: Dut, /, kind: str, index: int, sub: int, *steps: Step) -> Non
 
 
 @step
+def rises(dut: Dut, /, kind: str, index: int, sub: int, more: int, *steps: Step) -> None:
+    """Take the steps, and check that a counter went up so far; it may wrap."""
+    before = dut.integer(kind, index, sub)
+    for taken in steps:
+        taken(dut)
+    dut.holds(kind, index, sub, (before + more) % 256 ** struct.calcsize(kind))
+
+
+@step
 def near(dut: Dut, /, index: int, sub: int, value: float, within: float, kind: str = "f") -> None:
     """Check that a number reads as ``value`` within so much."""
     value_read = dut.number(kind, index, sub)
@@ -117,28 +127,6 @@ def reads(dut: Dut, /, index: int, data: bytes) -> None:
     check(data_read == data, f"{index:04X}h = {data.hex(' ')}", data_read.hex(" "))
 
 
-nmt = step(Dut.nmt)
-reset = step(Dut.reset)
-boot_up = step(Dut.boot_up)
-waits_for_start = step(Dut.waits_for_start)
-enter = step(Dut.enter)
-state = step(Dut.state)
-beat = step(Dut.beat)
-request = step(Dut.request)
-answer = step(Dut.answer)
-ask = step(Dut.ask)
-aborted = step(Dut.aborted)
-upload_aborted = step(Dut.upload_aborted)
-abort_upload = step(Dut.abort_upload)
-read = step(Dut.read)
-put = step(Dut.put)
-holds = step(Dut.holds)
-refuses = step(Dut.refuses)
-refuses_bytes = step(Dut.refuses_bytes)
-read_segments = step(Dut.read_segments)
-integer = step(Dut.integer)
-send = step(Dut.send)
-expect = step(Dut.expect)
-silence = step(Dut.silence)
-sleep = step(Dut.sleep)
-forget = step(Dut.forget)
+def __getattr__(name: str) -> Callable[..., Callable[[Dut], Any]]:
+    """Return the maker of the steps that call a method of the Dut."""
+    return step(getattr(Dut, name))

@@ -13,13 +13,13 @@ from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.logs.reader import open_log
 
 
-@pytest.fixture(params=[False, True], ids=["fixed", "variable"])
-def log(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
     path = tmp_path / "hand.log"
-    traffic = hand_traffic(20_000, 3, request.param, 5)
+    traffic = hand_traffic(20_000, 3, 5)
     write_log(path, traffic)
     np.testing.assert_array_equal(np.concatenate(list(open_log(path, strict=True))), traffic)
-    assert (len(set(traffic["length"].tolist())) > 1) == request.param
+    assert set(traffic["length"].tolist()) == set(range(9))
     return path
 
 

@@ -1,14 +1,15 @@
 """Rows: which SYNC each answer belongs to, by its number, and without numbers; against what was sent."""
 
+import os
 import random
 import struct
 
 import numpy as np
 import pytest
-from bench import row_model
 from hypothesis import given
 from hypothesis import strategies as st
 
+from host.hand import row_model
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.hand.rows import Collector
 from tipforce.host.hand.trust import COUNTER
@@ -186,8 +187,8 @@ def test_a_sync_that_was_not_received_has_its_row_too() -> None:
 
 
 def test_random_sequences_of_faults() -> None:
-    """`python -m bench.row_model` runs 10,000."""
-    assert row_model.failures(12) == []
+    """`make long` runs 10,000."""
+    assert row_model.failures(int(os.environ.get("TIPFORCE_SEQUENCES", "12"))) == []
 
 
 @pytest.mark.parametrize("seed", [461, 578, 586, 1699, 1721])

@@ -14,7 +14,6 @@ def test_nothing_is_lost_at_a_steady_rate(busy: bool) -> None:
     assert (len(load.number), load.dropped, load.sent) == (5000, 0, 5000)
     assert load.in_order
     assert (load.lag_ms >= 0.0).all()
-    assert 1 <= load.batches <= 5000
     assert load.row("alone")[:5] == ["5,000 Hz, alone", "5000", "5000", "0", "yes"]
 
 
@@ -26,7 +25,7 @@ def test_the_way_by_hand_receives_all() -> None:
 def test_every_way_takes_every_frame() -> None:
     """Each raises if a frame is missing, or a PDO does not reach canopen's callback."""
     figures = live.costs(1)
-    assert len(figures) == len(live.cost_rows(figures)) == 8
+    assert len(figures) == len(live.cost_rows(figures)) == 5
     assert all(len(us) == 1 and us[0] > 0 for us in figures.values())
 
 

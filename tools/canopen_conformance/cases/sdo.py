@@ -44,15 +44,9 @@ for command, size, code in (("2F", 1, Abort.TOO_SHORT), ("27", 3, Abort.TOO_LONG
         not_written(do.request(f"{command} 17 10 00 11 00 00 00"), do.aborted(0x1017, 0, code, Abort.WRONG_LENGTH)))
 
 
-@expedited("7.2.4.3.17: 06010002h: a write to {0:04X}h:{1}, which can only be read", each=[
-    (0x1000, 0), (0x1001, 0), (0x1018, 1), (0x1018, 0),
-])
-def read_only(dut: Dut, index: int, sub: int) -> None:
-    data = dut.read(index, sub)
-    dut.request(struct.pack("<BHB", 0x23 | 4 - len(data) << 2, index, sub) + data)
-    dut.aborted(index, sub, Abort.READ_ONLY)
-
-
+for index, sub in ((0x1000, 0), (0x1001, 0), (0x1018, 1), (0x1018, 0)):
+    expedited(f"read_only 7.2.4.3.17: 06010002h: a write to {index:04X}h:{sub}, which can only be read", (),
+        do.refuses_bytes(index, sub, do.late(Dut.read)(index, sub), Abort.READ_ONLY))
 for which, command in (("upload", "40"), ("download", "23")):
     expedited(f"no_object 7.2.4.3.17: 06020000h: {which} of an object that is not there", (),
         do.request(f"{command} FF FF 00"), do.aborted(0xFFFF, 0, Abort.NO_OBJECT))
@@ -88,7 +82,7 @@ expedited("other_node 7.2.4.3: a request to another node is not answered", (),
     lambda dut: dut.send(0x600 + (dut.node_id ^ 0x40), READ), do.silence(SDO))
 expedited("client_abort_idle 7.2.4.3.17: an abort of the client is not answered, and ends nothing when nothing goes on",
     (),
-    do.request("80 00 10 00 00 00 00 08"), do.silence(SDO), do.ask("40 00 10 00", "43 00 10 00 *"))
+    do.abort(0x1000), do.silence(SDO), do.ask("40 00 10 00", "43 00 10 00 *"))
 expedited("reserved_bytes 7.2.4.3.6: reserved bytes of a request are not looked at", (),
     do.ask("40 00 10 00 FF FF FF FF", "43 00 10 00 *"))
 expedited("unused_bytes 7.2.4.3.3: unused bytes of a write are not looked at", BEAT,
@@ -112,6 +106,7 @@ for index in (0x1018, 0x1200, 0x1016, 0x1800):
 
 
 SEGMENT_BYTES = 7
+UPLOADED = do.late(lambda dut: dut.upload_index)()  # the object of the upload that the case has begun
 NAMES = (0x1008, 0x1009, 0x100A)
 
 
@@ -142,13 +137,13 @@ def upload(dut: Dut) -> None:
 for segments, when in ((0, "at first"), (1, "later")):
     segmented(f"upload_toggle 7.2.4.3.7: a wrong toggle bit {when}: 05030000h, and the transfer is over", (),
         do.run(begin_upload, max(4, SEGMENT_BYTES * segments)), do.repeat(segments, do.ask("60", "0. *")),
-        do.request("60" if segments else "70"), do.upload_aborted(Abort.TOGGLE_BIT), over)
+        do.request("60" if segments else "70"), do.aborted(UPLOADED, 0, Abort.TOGGLE_BIT), over)
 segmented("upload_over 7.2.4.3.7: after the last segment the transfer is over", (),
     begin_upload, do.read_segments(), over)
 segmented("upload_abort 7.2.4.3.17: the client aborts an upload: no answer, the transfer is over", (),
-    begin_upload, do.abort_upload(), do.silence(SDO), over)
+    begin_upload, do.abort(UPLOADED), do.silence(SDO), over)
 segmented("upload_wrong_segment 7.2.4.3.17: a download segment during an upload: 05040001h", (),
-    begin_upload, do.request("00"), do.upload_aborted(Abort.UNKNOWN_COMMAND))
+    begin_upload, do.request("00"), do.aborted(UPLOADED, 0, Abort.UNKNOWN_COMMAND))
 segmented("upload_reset 7.2.8.2.1.6: reset communication ends a transfer", (),
     begin_upload, do.reset(RESET_COMMUNICATION), over)
 
@@ -166,7 +161,7 @@ for stated, how in ((2, "size stated"), (None, "size not stated")):
 segmented("download_two 7.2.4.3.4: two segments: the toggle bit alternates from 0", BEAT,
     begin_download, do.ask("0C 34", "20"), do.ask("1D 12", "30"), do.holds("H", 0x1017, 0, 0x1234))
 segmented("download_late 7.2.4.3.4: nothing is written before the last segment", BEAT,
-    not_written(begin_download, do.ask("0C 34", "20"), do.request("80 17 10 00 00 00 00 08")))
+    not_written(begin_download, do.ask("0C 34", "20"), do.abort(0x1017)))
 for steps, when in (((do.request("1B 34 12"),), "at first"), ((do.ask("0C 34", "20"), do.request("0D 12")), "later")):
     segmented(f"download_toggle 7.2.4.3.4: a wrong toggle bit {when}: 05030000h, nothing is written", BEAT,
         not_written(begin_download, *steps, do.aborted(0x1017, 0, Abort.TOGGLE_BIT)))
@@ -180,7 +175,7 @@ for segment, how, code in (
     segmented(f"download_wrong_end 7.2.4.3.4: size not stated, {how} than the object: refused at the end", BEAT,
         do.run(begin_download, None), do.request(segment), do.aborted(0x1017, 0, code, Abort.WRONG_LENGTH))
 segmented("download_abort 7.2.4.3.17: the client aborts a download: the transfer is over, nothing is written", BEAT,
-    not_written(begin_download, do.request("80 17 10 00 00 00 00 08"), do.silence(SDO),
+    not_written(begin_download, do.abort(0x1017), do.silence(SDO),
         do.ask("0B 34 12", lambda data: data[0] == 0x80)))
 segmented("download_wrong_segment 7.2.4.3.17: an upload segment during a download: 05040001h", BEAT,
     begin_download, do.request("60"), do.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND))

@@ -5,7 +5,7 @@ import struct
 
 from canopen_conformance import steps as do
 from canopen_conformance.case import CheckError, NotApplicableError, Service, check
-from canopen_conformance.cases.sdo import BEAT, NAMES, not_written
+from canopen_conformance.cases.sdo import BEAT, NAMES, UPLOADED, not_written
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import SDO, STOP, Abort
 
@@ -139,7 +139,7 @@ for size in (0, 128, 255):
         do.run(refused_initiate, 0x1008, size, Abort.BLOCK_SIZE))
 for size in (0, 128):
     upload(f"block_size_refused_later 7.2.4.3.14: block size {size} in an answer: 05040002h", (),
-        begun_upload, do.request(f"A2 01 {size:02X}"), do.upload_aborted(Abort.BLOCK_SIZE))
+        begun_upload, do.request(f"A2 01 {size:02X}"), do.aborted(UPLOADED, 0, Abort.BLOCK_SIZE))
 upload("without_crc 7.2.4.3.16: a client without CRC finds 0 in its place", (), do.run(one_block, False))
 
 
@@ -156,12 +156,12 @@ def refused(dut: Dut, index: int | None, code: int, _why: str) -> None:
 
 for started, when in ((False, "before the start"), (True, "after a block")):
     upload(f"aborted 7.2.4.3.17: the client aborts {when}: no answer, the transfer is over", (),
-        do.run(begun_upload, started), do.abort_upload(), do.silence(SDO), do.ask("40 00 10 00", "43 00 10 00 *"))
+        do.run(begun_upload, started), do.abort(UPLOADED), do.silence(SDO), do.ask("40 00 10 00", "43 00 10 00 *"))
 upload("stopped 7.3.2.3: stop ends a block upload without a word", (),
     do.run(begun_upload, False), do.nmt(STOP), do.request("A3"), do.silence(SDO))
 for command in ("A1", "A2", "A3", "C1"):
     upload("no_transfer 7.2.4.3.17: a block command without a transfer: 05040001h", (),
-        do.run(initiate, 0x1000, 127), do.request("80 00 10 00 00 00 00 08"),
+        do.run(initiate, 0x1000, 127), do.abort(0x1000),
         do.ask(f"{command} 00 10 00", lambda d: d[0] == 0x80 and d[4:] == struct.pack("<I", Abort.UNKNOWN_COMMAND)))
 
 
@@ -229,7 +229,7 @@ for begun, when in (
     (do.run(begin_block_download, 0x1017, 2), "before the first segment"), (one_segment, "before the end"),
 ):
     download(f"aborted 7.2.4.3.17: the client aborts {when}: no answer, nothing is written", BEAT,
-        not_written(begun, do.request("80 17 10 00 00 00 00 08"), do.silence(SDO)))
+        not_written(begun, do.abort(0x1017), do.silence(SDO)))
 download("refused_value 7.2.4.3.11: a refused value is refused at the end", ((0x1019, 0),),
     do.run(begin_block_download, 0x1019, 1), do.run(segment, 1, b"\xf1", True), do.answer("A2 01 .."),
     do.run(end_block_download, b"\xf1"), do.aborted(0x1019, 0, Abort.TOO_HIGH, Abort.INVALID_VALUE),

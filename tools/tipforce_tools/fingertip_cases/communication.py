@@ -11,7 +11,7 @@ from canopen_conformance.cases.emcy import HISTORY, INHIBIT, NEEDS, break_sync, 
 from canopen_conformance.cases.identity import ALL, LOAD, VALUE, WRONG_SIGNATURE, restored, store
 from canopen_conformance.cases.nmt import CONSUMER, GUARDING, PRODUCER
 from canopen_conformance.cases.pdo import INVALID
-from canopen_conformance.cases.sdo import BEAT, begin_download, begin_upload, not_written, over
+from canopen_conformance.cases.sdo import BEAT, UPLOADED, begin_download, begin_upload, not_written, over
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import EMCY, HEARTBEAT, SDO, Abort
 
@@ -87,18 +87,9 @@ def product(dut: Dut) -> None:
     check(code & 0xFFFFFC00 == 0x54500000 and 3 <= code & 0xFF <= 8, "545000nnh to 545003nnh", f"{code:08X}h")
 
 
-@identity(
-    "7.5.2.24: 1021h begins as an EDS does; 1022h says that it is not compressed",
-    ((0x1021, 0), (0x1022, 0)),
-)
-def eds(dut: Dut) -> None:
-    dut.ask("40 21 10 00", "41 21 10 00 *")
-    first = dut.ask("60", "00 *")
-    check(first[1:].startswith(b"["), "[FileInfo]", first[1:].hex(" "))
-    dut.request("80 21 10 00 00 00 00 08")
-    dut.holds("H", 0x1022, 0, 0)
-
-
+identity("eds 7.5.2.24: 1021h begins as an EDS does; 1022h says that it is not compressed", ((0x1021, 0), (0x1022, 0)),
+    do.ask("40 21 10 00", "41 21 10 00 *"), do.ask("60", f"00 {ord('['):02X} *"),  # [FileInfo]
+    do.abort(0x1021), do.holds("H", 0x1022, 0, 0))
 identity("eds_constant 7.5.2.24: 1021h cannot be written", ((0x1022, 0),),
     do.request("21 21 10 00 04"), do.aborted(0x1021, 0, Abort.READ_ONLY))
 
@@ -201,7 +192,7 @@ def upload_restart(dut: Dut) -> None:
 
 
 segmented("upload_timeout 7.2.4.3.17: a silent client: 05040000h, and the transfer is over", (),
-    begin_upload, do.upload_aborted(Abort.TIMED_OUT, within_ms=1200), over)
+    begin_upload, do.aborted(UPLOADED, 0, Abort.TIMED_OUT, within_ms=1200), over)
 segmented("upload_patience 7.2.4.3.17: each request gives the client its time anew", (),
     begin_upload, do.silence(SDO, ms=700), do.ask("60", "0. *"), do.silence(SDO, ms=700),
     do.ask("70", lambda data: data[0] & 0xF0 == 0x10))
@@ -233,7 +224,7 @@ def download_many(dut: Dut) -> None:
 
 LONG = ((0x1021, 0),)
 block_upload("acknowledged_too_much 7.2.4.3.14: ackseq beyond what was sent: 05040003h", (),
-    sdo_block.begun_upload, do.request("A2 02 7F"), do.upload_aborted(Abort.SEQUENCE_NUMBER))
+    sdo_block.begun_upload, do.request("A2 02 7F"), do.aborted(UPLOADED, 0, Abort.SEQUENCE_NUMBER))
 
 
 def switched(dut: Dut, index: int, switch: int, command: int) -> None:
@@ -257,7 +248,7 @@ def full_block(dut: Dut) -> None:
     first = sdo_block.block(dut, 127, size <= 889)
     dut.request("A2 7F 02")
     first += sdo_block.block(dut, 2, False)
-    dut.request("80 21 10 00 00 00 00 08")
+    dut.abort(0x1021)
     dut.ask("40 21 10 00", "41 21 10 00 *")
     for offset in range(0, 35, 7):
         part = dut.ask("60" if offset % 14 == 0 else "70")[1:]
@@ -271,10 +262,10 @@ for words, why in (
     ("60", "a segment of another transfer"),
 ):
     block_upload(f"wrong_command 7.2.4.3.17: {why}: 05040001h", (),
-        do.run(sdo_block.begun_upload, False), do.request(words), do.upload_aborted(Abort.UNKNOWN_COMMAND))
+        do.run(sdo_block.begun_upload, False), do.request(words), do.aborted(UPLOADED, 0, Abort.UNKNOWN_COMMAND))
 for started, when in ((False, "before the start"), (True, "after a block")):
     block_upload(f"silent_client 7.2.4.3.17: a client that is silent {when}: 05040000h", (),
-        do.run(sdo_block.begun_upload, started), do.upload_aborted(Abort.TIMED_OUT, within_ms=1200))
+        do.run(sdo_block.begun_upload, started), do.aborted(UPLOADED, 0, Abort.TIMED_OUT, within_ms=1200))
 
 
 def begin_record(dut: Dut) -> tuple[bytes, int]:

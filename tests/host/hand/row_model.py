@@ -1,7 +1,5 @@
 """A model of numbered rows: fingers that are late, frames that are lost, doubled or missed, and what a hand may show.
 
-    python -m bench.row_model --sequences 10000
-
 Each value is the serial number of the SYNC that it answers, so a value in another SYNC's row is seen at once. A value
 that the host received within the waiting time must be in its row.
 """
@@ -14,15 +12,13 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
-from bench.measure import arguments
 
 from canopen_device.core.codes import SYNC_COB_ID
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.hand.rows import Collector
 
 FINGERS = 3
-LATEST = 119
-"""SYNCs: no answer is later."""
+LATEST = 119  # SYNCs: no answer is later
 _CONTACT = 0x280
 _PERIOD_NS = 1_000_000
 _STRANGE = 30_000  # mN, and above: values of somebody else
@@ -161,16 +157,3 @@ def failures(sequences: int, first_seed: int = 0) -> list[str]:
         if not outcome.shown and outcome._promised >= 10:
             errors.append(f"seed {seed}: no value was shown")
     return errors
-
-
-def main() -> int:
-    parser = arguments(__doc__)
-    parser.add_argument("--sequences", type=int, default=10_000)
-    sequences = parser.parse_args().sequences
-    errors = failures(sequences)
-    print("\n".join(errors[:20]), f"{sequences} sequences, {len(errors)} errors", sep="\n")
-    return 1 if errors else 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
