@@ -55,17 +55,14 @@ def add_node_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--capture", choices=("auto", "poll", "buffer"), default="auto", help=what)
     group.add_argument("--trigger", metavar="NAME", help="default: the device's own, else a timer")
     rate = common.number_within(0.0, 100_000.0, "is above 0 up to 100000 Hz", over=True)
-    common.add_numbers(group, ("--scan-rate", 1000.0, "HZ", "of that timer (default 1000)", rate))
+    common.add_number(group, "--scan-rate", 1000.0, "HZ", "of that timer (default 1000)", rate)
     group = parser.add_argument_group("replayed source")
-    common.add_numbers(group, ("--speed", 1.0, "X", "times the recorded speed (default 1)", float))
+    common.add_number(group, "--speed", 1.0, "X", "times the recorded speed (default 1)", float)
     group.add_argument("--loop", action="store_true", help="repeat; otherwise no data at the end")
     group = parser.add_argument_group("simulated source")
     noise = common.number_within(0.0, 1e6, "is 0 to 1e+06 microstrain")
-    common.add_numbers(
-        group,
-        ("--noise", 0.5, "UE", "noise of each gauge, microstrain (default %(default)s)", noise),
-        ("--noise-1f", 0.0, "UE", "1/f noise: microstrain at 1 Hz (default none)", noise),
-    )
+    common.add_number(group, "--noise", 0.5, "UE", "noise of each gauge, microstrain (default %(default)s)", noise)
+    common.add_number(group, "--noise-1f", 0.0, "UE", "1/f noise: microstrain at 1 Hz (default none)", noise)
     group.add_argument("--bits", type=int, choices=(16, 24), default=16, help="of the converter (default %(default)s)")
     group.add_argument("--offset", default="", metavar="UE,UE,...", help="unloaded reading of each gauge, microstrain")
     group.add_argument("--load", default="0,0,0", metavar="P,PHI,THETA", help="newtons, degrees (default %(default)s)")

@@ -51,18 +51,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--uncalibrated", action="store_true", help="C from theory, without a calibration")
     load = common.number_within(1.0 / _MOST, _MOST, f"is {1.0 / _MOST:g} to {_MOST:g} N")
     angle = common.number_within(-360.0, 360.0, "are degrees from -360 to 360")
-    common.add_numbers(
-        parser,
-        ("--load", 4.4, "N", "P in newtons (default %(default)s)", load),
-        ("--phi", None, "DEG", "with --theta: one load instead of the pad", angle),
-    )
+    common.add_number(parser, "--load", 4.4, "N", "P in newtons (default %(default)s)", load)
+    common.add_number(parser, "--phi", None, "DEG", "with --theta: one load instead of the pad", angle)
     parser.add_argument("--theta", type=angle, metavar="DEG")
     parser.add_argument("--sense", choices=("push", "pull"), help="of the loads (default: that of the file, else push)")
     sizes = parser.add_argument_group("causes")
     cause = common.number_within(0.0, _MOST, f"is 0 to {_MOST:g}")
-    common.add_numbers(
-        sizes, *((flag, None, unit.replace("%", "PERCENT"), text, cause) for flag, unit, text, *_ in _FLAGS)
-    )
+    for flag, unit, text, *_ in _FLAGS:
+        common.add_number(sizes, flag, None, unit.replace("%", "PERCENT"), text, cause)
     parser.add_argument("-o", "--output", metavar="FILE", help="a plot, .png or .svg")
     common.add_output_arguments(parser)
 

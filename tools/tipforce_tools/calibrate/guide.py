@@ -34,12 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--samples", type=int, default=200, metavar="N", help="of a capture (default %(default)s)")
     period = common.number_within(0.0, 1000.0, "is above 0, up to 1000", over=True)
     limit = common.number_within(0.0, 1e6, "is above 0, up to 1e+06", over=True)
-    common.add_numbers(
-        group,
-        ("--period", 5.0, "MS", "between samples (default %(default)s)", period),
-        ("--max-std", 5.0, "UE", "largest scatter, microstrain (default %(default)s)", limit),
-        ("--max-drift", 2.0, "UE", "largest drift, microstrain (default %(default)s)", limit),
-    )
+    common.add_number(group, "--period", 5.0, "MS", "between samples (default %(default)s)", period)
+    common.add_number(group, "--max-std", 5.0, "UE", "largest scatter, microstrain (default %(default)s)", limit)
+    common.add_number(group, "--max-drift", 2.0, "UE", "largest drift, microstrain (default %(default)s)", limit)
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="gauge layout, for file and prior")
     fit.add_model_arguments(parser, None, "0.5; --auto: 0")
     common.add_confirm_argument(parser)

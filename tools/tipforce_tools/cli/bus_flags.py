@@ -100,7 +100,7 @@ def add_sdo_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bus flags, the timeout and retries of SDO transfers, and the output flags."""
     add_bus_flags(parser)
     group = parser.add_argument_group("SDO")
-    common.add_numbers(group, ("--timeout", 0.5, "S", "timeout of a response (default %(default)s s)", common.timeout))
+    common.add_number(group, "--timeout", 0.5, "S", "timeout of a response (default %(default)s s)", common.timeout)
     group.add_argument(
         "--retries", type=common.whole_number, default=2, metavar="N", help="after a timeout (%(default)s)"
     )

@@ -101,13 +101,12 @@ MOST = sys.float_info.max
 """The largest finite number."""
 
 
-def add_numbers(
-    parser: argparse.ArgumentParser | argparse._ArgumentGroup,
-    *flags: tuple[str, float | None, str, str, Callable[[str], float]],
-) -> None:
-    """Add flags of one number each: (name, default, unit, help, parser of the text, which knows what is allowed)."""
-    for name, default, unit, text, parse in flags:
-        parser.add_argument(name, type=parse, default=default, metavar=unit, help=text)
+def add_number(
+    parser: argparse._ActionsContainer, name: str, default: float | None, unit: str, text: str,
+    parse: Callable[[str], float],
+) -> None:  # fmt: skip
+    """Add a flag of one number; ``parse`` knows what is allowed."""
+    parser.add_argument(name, type=parse, default=default, metavar=unit, help=text)
 
 
 class InputFile:

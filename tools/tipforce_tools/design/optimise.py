@@ -34,21 +34,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=common.whole_number, default=0, help="of the starts (default %(default)s)")
     parser.add_argument("-o", "--output", metavar="LAYOUT.toml", help="write the best design as a layout file")
     not_negative = common.number_within(0.0, common.MOST, "is 0 or more")
-    common.add_numbers(
-        parser,
-        ("--noise", 0.5, "UE", "per gauge, microstrain (%(default)s)", not_negative),
-        ("--load", 4.4, "N", "of every push (default %(default)s)", float),
-    )
+    common.add_number(parser, "--noise", 0.5, "UE", "per gauge, microstrain (%(default)s)", not_negative)
+    common.add_number(parser, "--load", 4.4, "N", "of every push (default %(default)s)", float)
     group = parser.add_argument_group("limits")
     group.add_argument("--envelope", default="30,30.2", metavar="X,Y", help="mm: 2 r by d + h1/2 + r (%(default)s)")
-    common.add_numbers(
-        group,
-        ("--width", 10.0, "MM", "of the beams (default %(default)s)", float),
-        ("--min-h", 0.2, "MM", "least thickness (default %(default)s)", float),
-        ("--gauge-length", 1.0, "MM", "default %(default)s", float),
-        ("--slit", 0.25, "MM", "must stay open (default %(default)s)", float),
-        ("--max-stress", None, "MPA", "at the load, worst angle (default: the paper's)", float),
-    )
+    common.add_number(group, "--width", 10.0, "MM", "of the beams (default %(default)s)", float)
+    common.add_number(group, "--min-h", 0.2, "MM", "least thickness (default %(default)s)", float)
+    common.add_number(group, "--gauge-length", 1.0, "MM", "default %(default)s", float)
+    common.add_number(group, "--slit", 0.25, "MM", "must stay open (default %(default)s)", float)
+    common.add_number(group, "--max-stress", None, "MPA", "at the load, worst angle (default: the paper's)", float)
     common.add_output_arguments(parser)
 
 

@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("hand", nargs="?", type=common.InputFile(), metavar="HAND.toml", help="compare the bus with it")
     an_hour = common.number_within(0.0, 3600.0, "are 0 to 3600 s")
-    common.add_numbers(parser, ("--listen", 1.2, "S", "listen for S (default %(default)s s)", an_hour))
+    common.add_number(parser, "--listen", 1.2, "S", "listen for S (default %(default)s s)", an_hour)
     bus_flags.add_bus_arguments(parser)
 
 

@@ -49,7 +49,7 @@ def add_scan_arguments(parser: argparse.ArgumentParser) -> None:
     every = list(range(1, 128))
     parser.add_argument("--nodes", type=common.node_ids, default=every, metavar="IDS", help="1,2,5-9 (default: all)")
     wait = common.number_within(0.0, threading.TIMEOUT_MAX, "is 0 s or more")
-    common.add_numbers(parser, ("--wait", 1.2, "S", "wait for responses and heartbeats (default %(default)s s)", wait))
+    common.add_number(parser, "--wait", 1.2, "S", "wait for responses and heartbeats (default %(default)s s)", wait)
     bus_flags.add_sdo_arguments(parser)
 
 
@@ -93,7 +93,7 @@ def add_read_arguments(parser: argparse.ArgumentParser) -> None:
     )
     _add_ids(parser)
     parser.add_argument("-n", "--count", type=common.count, default=1, metavar="N", help="samples of each (default 1)")
-    common.add_numbers(parser, ("--wait", 5.0, "S", "for each sample (default %(default)g s)", common.timeout))
+    common.add_number(parser, "--wait", 5.0, "S", "for each sample (default %(default)g s)", common.timeout)
     bus_flags.add_sdo_arguments(parser)
 
 
@@ -217,7 +217,7 @@ def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--vendor", type=common.unsigned32, default=0, metavar="N", help="default %(default)s")
     group.add_argument("--revision", type=common.unsigned32, metavar="N", help="default: this release's")
     timeout_help = "timeout of each response (default %(default)s s)"
-    common.add_numbers(parser, ("--lss-timeout", 0.1, "S", timeout_help, common.timeout))
+    common.add_number(parser, "--lss-timeout", 0.1, "S", timeout_help, common.timeout)
     common.add_confirm_argument(parser)
     bus_flags.add_bus_arguments(parser)
 
