@@ -91,7 +91,7 @@ def _check(args: argparse.Namespace, is_hand: bool) -> None:
         raise InputError(f"--seconds {args.seconds:g}: allowed is a time over 0")
     if not args.speed > 0:
         raise InputError(f"--speed {args.speed:g}: allowed is more than 0, or inf")
-    check_sync(args.sync, None if args.no_bring_up else args.source)
+    check_sync(args, None if args.no_bring_up else args.source)
     if args.no_bring_up and not is_hand:
         raise InputError("--no-bring-up: needs a hand file")
     if args.allow_tare and (not is_hand or args.no_bring_up):

@@ -134,7 +134,7 @@ def _print_outcome(outcome: Outcome) -> None:
 
 
 def _explain(path: Path, scene: Scene, name: str, with_cost: bool) -> int:
-    from tipforce.scene.registry import bus_load, identifiers, parts
+    from tipforce.scene.registry import Part, bus_load, identifiers, parts
 
     costs: dict[str, Any] = {}
     if with_cost:
@@ -146,17 +146,16 @@ def _explain(path: Path, scene: Scene, name: str, with_cost: bool) -> int:
             "part": part.name, "built": part.built, "why": part.why, "modules": list(part.modules),
             "on_demand": list(part.on_demand), **costs.get(part.name, {}),
         }
-        for part in parts(scene)
+        for part in (*parts(scene), *([Part("all", True, "")] if with_cost else ()))
     ]  # fmt: skip
-    if with_cost:
-        rows.append({"part": "all", "built": True, "why": "", "modules": [], "on_demand": [], **costs["all"]})
-    sent: list[dict[str, Any]] = []
-    for each in identifiers(scene):
-        least, most = (each.rate_hz * bits / scene.bit_rate for bits in each.bits)
-        sent.append(
-            {"cob_id": f"0x{each.can_id:03X}", "what": each.what, "rate_hz": each.rate_hz,
-             "data_bytes": each.data_bytes, "load": least, "load_at_most": most}
-        )  # fmt: skip
+    sent: list[dict[str, Any]] = [
+        {
+            "cob_id": f"0x{each.can_id:03X}", "what": each.what, "rate_hz": each.rate_hz, "data_bytes": each.data_bytes,
+            "load": each.rate_hz * each.bits[0] / scene.bit_rate,
+            "load_at_most": each.rate_hz * each.bits[1] / scene.bit_rate,
+        }
+        for each in identifiers(scene)
+    ]  # fmt: skip
     low, high = bus_load(scene)
     if common.OUTPUT.json:
         for record in [*rows, *sent, {"bit_rate": scene.bit_rate, "bus_load": low, "bus_load_at_most": high}]:

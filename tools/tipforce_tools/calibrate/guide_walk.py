@@ -101,14 +101,12 @@ def _unusable(capture: Capture) -> list[str]:
         saturated = f"saturated: {', '.join(hit)} in up to {max(capture.saturated)} {of}"
         texts.append(f"{saturated}: use a smaller weight, or check the gauge's wiring")
     if not texts and capture.count < capture.asked:
-        if capture.repeated > capture.stale:
-            unchanged = f"the sample counter does not change ({capture.repeated} repeated)"
-            texts.append(f"{unchanged}: the node no longer measures: reset it")
-        else:
-            texts.append(
-                f"stale: only {capture.count} {of} were new ({capture.stale} stale, {capture.silent} missing): "
-                "the converter delivers no samples: check the node, or increase --period"
-            )
+        unchanged = f"the sample counter does not change ({capture.repeated} repeated): the node no longer measures"
+        stale = (
+            f"stale: only {capture.count} {of} were new ({capture.stale} stale, {capture.silent} missing): "
+            "the converter delivers no samples: check the node, or increase --period"
+        )
+        texts.append(f"{unchanged}: reset it" if capture.repeated > capture.stale else stale)
     return texts
 
 
@@ -240,18 +238,11 @@ class Walk:
         self._todo.popleft()
         self._skipped.discard(step.number)
         if common.OUTPUT.json:
+            number, (P_N, phi_deg, theta_deg) = step.number if step.number != EXTRA else "extra", step.load[:3]
+            gauges = {f"{name}_microstrain": getattr(capture, name).tolist() for name in ("mean", "std", "drift")}
             common.print_json({
-                "step": step.number if step.number != EXTRA else "extra",
-                "steps": len(self._steps),
-                "P_N": step.P_newtons,
-                "phi_deg": step.phi_deg,
-                "theta_deg": step.theta_deg,
-                "mode": step.mode,
-                "samples": capture.count,
-                "mean_microstrain": capture.mean.tolist(),
-                "std_microstrain": capture.std.tolist(),
-                "drift_microstrain": capture.drift.tolist(),
-                "temperature_degC": capture.temperature_degC,
+                "step": number, "steps": len(self._steps), "P_N": P_N, "phi_deg": phi_deg, "theta_deg": theta_deg,
+                "mode": step.mode, "samples": capture.count, **gauges, "temperature_degC": capture.temperature_degC,
             })  # fmt: skip
         for k, (mean, std, drift) in enumerate(zip(capture.mean, capture.std, capture.drift, strict=True)):
             common.note(f"  SG{k + 1} {mean:+10.2f} microstrain, standard deviation {std:.2f}, drift {drift:+.2f}")

@@ -259,12 +259,8 @@ def console(*, stderr: bool = False) -> Console:
 
 
 def print_table(table: Table) -> None:
-    """Print a table on stdout.
-
-    In a narrow terminal it has no borders and words wrap; numbers do not. A truncated number (`4.…`) is useless, and a
-    wrapped one appears beside the label of another. A word longer than its column continues on the next line, so that
-    names can be copied.
-    """
+    """Print a table on stdout. In a narrow terminal it has no borders; words wrap, and numbers do not: a wrapped one
+    would appear beside the label of another. A word longer than its column continues on the next line."""
     screen = console()
     unbounded = screen.options.update(width=1000)
     if screen.measure(table, options=unbounded).maximum > screen.width:

@@ -142,11 +142,11 @@ def run_tare(args: argparse.Namespace) -> int:
             elif not args.show:
                 client.tare()
             tare = client.tare_state()
-            newtons = {f"F{k}": value for k, value in enumerate(tare.force_newtons, 1)}
-            record = {"node_id": node_id, **{f"{name}_N": value for name, value in newtons.items()}}
-            forces = ", ".join(f"{name} {value:+.4f} N" for name, value in newtons.items())
+            forces = [(f"F{k}", newtons) for k, newtons in enumerate(tare.force_newtons, 1)]
+            text = ", ".join(f"{name} {newtons:+.4f} N" for name, newtons in forces)
             since = f"since {tare.age_s} s" if any(tare.force_newtons) else "no tare"
-            _print(record | {"age_s": tare.age_s}, f"{forces}  {since}")
+            record = {"node_id": node_id, **{f"{name}_N": newtons for name, newtons in forces}, "age_s": tare.age_s}
+            _print(record, f"{text}  {since}")
     return 0
 
 

@@ -73,10 +73,8 @@ def connection_or(args: argparse.Namespace, error: InputError | None) -> Iterato
     with ExitStack() as opened:
         try:
             connection = opened.enter_context(bus_flags.open_connection(args))
-        except TipforceError:
-            if error is not None:
-                raise error from None
-            raise
+        except TipforceError as reason:
+            raise error or reason from None
         yield connection
 
 
@@ -86,10 +84,8 @@ def gauges_read(sdo: SdoChannel, error: InputError | None = None) -> int:
         return gauges_of(sdo.read(od.IDENTITY_PRODUCT))
     except SdoAbortError:  # CiA 301 requires the vendor alone
         return 0
-    except NoResponseError:
-        if error is not None:
-            raise error from None
-        raise
+    except NoResponseError as reason:
+        raise error or reason from None
 
 
 def description(eds: str | None, sdo: SdoChannel) -> Description | None:
