@@ -379,10 +379,7 @@ def test_one_line_the_next_step_and_the_exit_code(
 ) -> None:
     monkeypatch.chdir(folder)
     monkeypatch.setenv("HOME", str(folder / "taken"))
-    monkeypatch.setattr("can.util.CONFIG_FILES", [])
     monkeypatch.setattr("tipforce_tools.decode.workers.CONNECT_S", 1)
-    for name in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG"):
-        monkeypatch.delenv(name, raising=False)
     before = files(folder)
     channel = new_channel()
     with connected(*([finger(5)] if command.endswith(" BUS") else ()), channel=channel):
