@@ -10,6 +10,7 @@ import threading
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -68,7 +69,7 @@ def test_the_place_follows_from_the_kernel(
 def test_host_forced_on_a_kernel_without_vcan_says_what_to_try(monkeypatch: pytest.MonkeyPatch) -> None:
     fake_kernel(monkeypatch)
     with pytest.raises(EnvironmentLackError, match=r"vcan0, vcan1 cannot be created.*modprobe vcan"):
-        host.choose(["vcan0", "vcan1"], "host")
+        vcan.run(parse("--host", "--", "true"))
 
 
 def test_the_namespace_command_makes_every_bus_before_it_runs_the_command(
@@ -108,13 +109,12 @@ def test_the_command_is_taken_word_for_word(
     assert asked == [("uml", expected)]
 
 
-class FakeStdin:
-    def __init__(self, terminal: bool) -> None:
-        self.isatty = lambda: terminal
+def stdin(*, terminal: bool) -> SimpleNamespace:
+    return SimpleNamespace(isatty=lambda: terminal)
 
 
 def test_no_command_is_a_usage_error_without_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=False))
+    monkeypatch.setattr(sys, "stdin", stdin(terminal=False))
     with pytest.raises(InputError, match=r"tipforce vcan -- COMMAND"):
         vcan.run(parse())
 
@@ -124,7 +124,7 @@ def test_no_command_is_a_shell_on_a_terminal(
     shell: str, expected: str, monkeypatch: pytest.MonkeyPatch, asked: list[tuple[str, list[str]]]
 ) -> None:
     fake_kernel(monkeypatch)
-    monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=True))
+    monkeypatch.setattr(sys, "stdin", stdin(terminal=True))
     monkeypatch.setenv("SHELL", shell)
     vcan.run(parse())
     assert asked == [("uml", [expected])]
@@ -143,7 +143,7 @@ def test_a_shell_is_told_where_it_is_and_what_becomes_of_its_files(
     flags: list[str], can_make: bool, expected: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fake_kernel(monkeypatch, can_make=can_make)
-    monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=True))
+    monkeypatch.setattr(sys, "stdin", stdin(terminal=True))
     vcan.run(parse(*flags))
     said = capsys.readouterr()
     assert expected in said.err
@@ -197,13 +197,13 @@ def test_a_program_that_the_system_refuses_is_126_or_127(tmp_path: Path, capfd: 
 def test_a_timeout_ends_the_command_and_says_so(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=False))
+    monkeypatch.setattr(sys, "stdin", stdin(terminal=False))
     assert host.run_here(python("import time; time.sleep(60)"), timeout_s=0.2) == 1
     assert "ended after 0.2 s (--timeout)" in capfd.readouterr().err
 
 
 def test_a_terminating_signal_is_130(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=False))
+    monkeypatch.setattr(sys, "stdin", stdin(terminal=False))
     timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGTERM))
     timer.start()
     try:
@@ -339,7 +339,7 @@ class Machine:
         monkeypatch.setattr(uml, "find_program", lambda _name: str(self.program))
         monkeypatch.setattr(uml, "require_parts", lambda: None)
         monkeypatch.setattr(uml, "preloading", lambda _folder: {})
-        monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=False))
+        monkeypatch.setattr(sys, "stdin", stdin(terminal=False))
 
     def does(self, script: str) -> None:
         read_arguments = (
