@@ -110,8 +110,9 @@ def _load(
     """Return what loads stored parameters: of a simulated finger as of a delivered one."""
     from tipforce.sources.simulated import SimulatedSource
 
+    stored_only = store.load if store else None
     if args.uncalibrated or not isinstance(source, SimulatedSource):
-        return store.load if store else None
+        return stored_only
     from tipforce.scene.delivered import CALIBRATION, LARGEST_NEWTONS, pulls, stored_calibration, structure_calibration
 
     try:
@@ -122,11 +123,11 @@ def _load(
         delivered = stored_calibration(calibration)
     except InputError as error:
         common.note(f"{common.shown_node(args.node_id)}: not calibrated: {error}")
-        return store.load if store else None
+        return stored_only
 
     def load(group: str) -> bytes | None:
         """Return what is stored; a restored default (1011h) is empty bytes, and no delivered calibration."""
-        stored = store.load(group) if store else None
+        stored = stored_only(group) if stored_only else None
         return delivered if stored is None and group == CALIBRATION else stored
 
     return load
@@ -161,10 +162,9 @@ def _simulated(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge
     offset = _numbers("--offset", args.offset, len(gauges)) if args.offset else [0.0] * len(gauges)
     if max(map(abs, offset)) > LARGEST_MICROSTRAIN:
         raise InputError(f"--offset {args.offset}: allowed is up to {LARGEST_MICROSTRAIN:g} microstrain")
+    ideal = args.bits == 16 and not args.noise_1f
+    front_end = None if ideal else FrontEnd(args.bits, one_over_f=args.noise_1f or None, seed=args.seed)
     rows = gauge_matrix(geometry, gauges).tolist()
-    front_end = None  # an ideal 16-bit converter
-    if args.bits != 16 or args.noise_1f:
-        front_end = FrontEnd(args.bits, one_over_f=args.noise_1f or None, seed=args.seed)
     source = SimulatedSource(rows, args.noise, offset, args.seed, front_end=front_end)
     source.load = (load[0], load[1], load[2])
     return source
@@ -212,17 +212,13 @@ def _devices(args: argparse.Namespace) -> list[SimulatedDevice]:
         if len(args.files) > 1 or args.node_id or args.values or args.application or args.store:
             raise InputError("a machine in TOML stands alone: its devices have their node-ids, values and applications")
         return read_machine(args.files[0])
-    files, ids = args.files, args.node_id
-    if ids is None:  # a DCF names its own
-        pairs: list[tuple[str, int | None]] = [(file, None) for file in files]
-    else:  # one file may have many node-ids
-        files = files * len(ids) if len(files) == 1 else files
-        if len(files) != len(ids):
-            raise InputError(f"--node-id: {len(ids)} for {len(files)} files; give one for each")
-        pairs = list(zip(files, ids, strict=True))
-    if args.store and len(pairs) > 1:
+    ids: list[int | None] = args.node_id or [None] * len(args.files)  # a DCF names its own
+    files = args.files * len(ids) if len(args.files) == 1 else args.files  # one file may have many node-ids
+    if len(files) != len(ids):
+        raise InputError(f"--node-id: {len(ids)} for {len(files)} files; give one for each")
+    if args.store and len(ids) > 1:
         raise InputError("--store: one file belongs to one node; use a TOML file for several")
-    values = _values(args.values, [node_id for _, node_id in pairs])
+    values, pairs = _values(args.values, ids), zip(files, ids, strict=True)
     made = [made_device(file, each, args.application, values.get(each), store=args.store) for file, each in pairs]
     check_node_ids(made)
     return made

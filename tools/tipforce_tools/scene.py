@@ -74,12 +74,7 @@ def _print_fingers(title: str, outcome: Outcome) -> None:
     rows = []
     for finger in outcome.fingers:
         columns = (finger.applied_end, finger.estimated_end, finger.rms_error, finger.max_error)
-        values = [
-            "\n".join(
-                f"{value:.{digits}f}".replace("nan", "-") for value, digits in zip(triple, (3, 2, 2), strict=True)
-            )
-            for triple in columns
-        ]
+        values = ["{:.3f}\n{:.2f}\n{:.2f}".format(*triple).replace("nan", "-") for triple in columns]
         closed = {"slit closed: not linear": finger.slit_closed} if finger.slit_closed else {}
         counts = (
             "\n".join(f"{count} {name}" for name, count in named.items()) or "-"

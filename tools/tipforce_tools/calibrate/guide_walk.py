@@ -86,16 +86,12 @@ def _unusable(capture: Capture) -> list[str]:
     of = f"of {capture.asked} samples"
     texts = []
     if capture.silent and not capture.count:
-        texts.append(
-            "silent: no gauge PDO on SYNC, although the node responds to SDO: "
-            "check for another NMT master and for bus overload; try again"
-        )
+        silent = "silent: no gauge PDO on SYNC, although the node responds to SDO"
+        texts.append(f"{silent}: check for another NMT master and for bus overload; try again")
     if capture.faulty:
         names = _fault_names(capture.faults)
-        texts.append(
-            f"front-end fault in {capture.faulty} {of} (2124h = 0x{capture.faults:04X}"
-            f"{names and ': ' + names}): check the wiring and the supply of the gauges"
-        )
+        fault = f"front-end fault in {capture.faulty} {of} (2124h = 0x{capture.faults:04X}{names and ': ' + names})"
+        texts.append(f"{fault}: check the wiring and the supply of the gauges")
     hit = [f"SG{k + 1}" for k, count in enumerate(capture.saturated) if count]
     if hit:
         saturated = f"saturated: {', '.join(hit)} in up to {max(capture.saturated)} {of}"
@@ -228,8 +224,7 @@ class Walk:
             if not reasons:
                 self._take(step, capture)
                 return True
-            for reason in reasons:
-                self._say(f"  refused: {reason}")
+            self._say("\n".join(f"  refused: {reason}" for reason in reasons))
         return False
 
     def _take(self, step: Step, capture: Capture) -> None:
@@ -261,10 +256,8 @@ class Walk:
             unmoved = moved < max(_UNMOVED_MICROSTRAIN, 5.0 * u)
             return "same reading as the last unloaded one: is the weight applied?" if unmoved else ""
         loaded = [np.abs(row.mean_microstrain - tares[-1]).max() for row in self._session.rows if not row.unloaded]
-        still_loaded = bool(loaded) and moved > _MOVED_SHARE * max(loaded)
-        return (
-            f"{moved:.1f} microstrain from the last unloaded reading: is a load still applied?" if still_loaded else ""
-        )
+        remark = f"{moved:.1f} microstrain from the last unloaded reading: is a load still applied?"
+        return remark if loaded and moved > _MOVED_SHARE * max(loaded) else ""
 
     def _name(self, step: Step) -> str:
         return "the extra unloaded reading" if step.number == EXTRA else f"step {step.number} of {len(self._steps)}"

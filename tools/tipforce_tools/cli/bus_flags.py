@@ -33,7 +33,7 @@ class Interfaces:
     """The choices of -i; plug-ins are looked for only when a name is not included, or all are listed."""
 
     def __contains__(self, name: object) -> bool:
-        return name in BUILT_IN_INTERFACES or name in iter(self)
+        return name in BUILT_IN_INTERFACES or name in tuple(self)
 
     def __iter__(self) -> Iterator[str]:
         from importlib.metadata import entry_points

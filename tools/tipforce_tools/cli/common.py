@@ -323,16 +323,13 @@ def eds_files(given: Sequence[str]) -> tuple[tuple[int, str], ...]:
 
     files: dict[int, str] = {}
     for text in given:
-        head, equal, path = text.partition("=")
-        try:
-            number = node_id(head)
-        except (argparse.ArgumentTypeError, ValueError):
-            number = 0
-        if not equal or not path or not number:
+        head, _, path = text.partition("=")
+        node = number(head, _any_base)
+        if not (path and 1 <= node <= 127):
             raise InputError(f"--eds {text}: the form is ID=FILE, such as 5=drive.eds")
-        if number in files:
-            raise InputError(f"--eds {text}: node {number} has a file already")
-        for warning in read_eds(path, number).warnings:
+        if node in files:
+            raise InputError(f"--eds {text}: node {node} has a file already")
+        for warning in read_eds(path, node).warnings:
             print(f"warning: {warning}", file=sys.stderr)
-        files[number] = path
+        files[node] = path
     return tuple(files.items())

@@ -180,11 +180,12 @@ class _Machine:
         status = self._file("status")
         if status is not None:
             return int(status)
+        cause = "ended before the command did (out of memory? try a larger --memory)"
         if failed := self._file("failed"):
-            raise self._failure(f"User-mode Linux booted, but {failed.strip()}")
-        if self._file("started") is None:
-            raise self._failure(f"User-mode Linux ended before it had booted ({ELSEWHERE})")
-        raise self._failure("User-mode Linux ended before the command did (out of memory? try a larger --memory)")
+            cause = f"booted, but {failed.strip()}"
+        elif self._file("started") is None:
+            cause = f"ended before it had booted ({ELSEWHERE})"
+        raise self._failure(f"User-mode Linux {cause}")
 
     def _failure(self, what: str) -> EnvironmentLackError:
         log = (self.folder / "log").read_text(errors="replace").splitlines()[-15:]
@@ -221,14 +222,12 @@ def memory_bytes(memory: str) -> int:
 
 @contextlib.contextmanager
 def _terminal_kept(terminal: bool) -> Iterator[None]:
-    if not terminal:
-        yield
-        return
-    before = termios.tcgetattr(0)
+    before = termios.tcgetattr(0) if terminal else None
     try:
         yield
     finally:
-        termios.tcsetattr(0, termios.TCSADRAIN, before)
+        if before is not None:
+            termios.tcsetattr(0, termios.TCSADRAIN, before)
 
 
 def preloading(folder: Path, cpuinfo: Path = Path("/proc/cpuinfo")) -> dict[str, str]:
@@ -279,10 +278,8 @@ def run_with_vcan(
     if announced:
         kernel, ends = "this kernel", "`exit` ends the shell"
         if chosen == "uml":
-            kept, lost = (
-                "--rw: files that you write are kept",
-                "files that you write are lost on exit (--rw keeps them)",
-            )
+            kept = "--rw: files that you write are kept"
+            lost = "files that you write are lost on exit (--rw keeps them)"
             kernel, ends = "User-mode Linux", f"you are root; {kept if writable else lost}"
         print(f"tipforce vcan: {kernel}, with {', '.join(interfaces)}; {ends}", file=sys.stderr, flush=True)
     if chosen == "uml":

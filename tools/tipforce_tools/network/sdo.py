@@ -190,17 +190,15 @@ def _index_sub(words: list[str], example: str) -> tuple[int, int]:
 def _dump(args: argparse.Namespace) -> int:
     with bus_flags.open_connection(args) as connection:
         sdo = connection.sdo(args.node)
-        readable = [
-            (entry, entry.name if entry.stem else entry.title)  # a sub-index 0 that holds a count has no name
-            for entry in _entries(sdo, args.gauges, args.eds)
-            if entry.access != "wo" and entry.index != EDS
-        ]
+        known = _entries(sdo, args.gauges, args.eds)
+        readable = [entry for entry in known if entry.access != "wo" and entry.index != EDS]
         readings = []
         with common.progress("read", len(readable)) as advance:
-            for entry, label in readable:
+            for entry in readable:
                 value, text = _read(sdo, entry)
                 advance()
                 if not (isinstance(value, SdoAbortError) and value.code in _NOT_THERE):
+                    label = entry.name if entry.stem else entry.title  # a sub-index 0 that holds a count has no name
                     readings.append((entry, label, value, text))
     width = max((len(label) for _, label, _, _ in readings), default=0)
     for entry, label, value, text in readings:
