@@ -21,14 +21,6 @@ if TYPE_CHECKING:
     from tipforce.sensor.structure.geometry import Geometry
     from tipforce.sensor.structure.strain import Gauge
 
-_NODE = """\
-examples:
-  tipforce node --node-id 5 -i socketcan -c vcan0 --layout I --load 4.4,90,45 --store node-5.json
-  tipforce node --node-id 5 -i socketcan -c can0 --layout finger.toml --source iio:device0/voltage0,0-0051,0-0052
-
-The node waits for NMT start (cansend vcan0 000#0105), unless 1F80h makes it start by itself. SIGTERM and Ctrl-C end
-it: its last frame is a heartbeat with the state STOPPED (7xx#04).
-"""
 
 _SIMULATE = """\
   tipforce simulate cia402 --node-id 5 -i socketcan -c vcan0          the drive that tipforce ships
@@ -43,8 +35,13 @@ KINDS = "sim, iio:DEVICE[,DEVICE...], replay:FILE"
 
 
 def add_node_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce node`."""
-    parser.epilog = _NODE
+    """examples:
+      tipforce node --node-id 5 -i socketcan -c vcan0 --layout I --load 4.4,90,45 --store node-5.json
+      tipforce node --node-id 5 -i socketcan -c can0 --layout finger.toml --source iio:device0/voltage0,0-0051,0-0052
+
+    The node waits for NMT start (cansend vcan0 000#0105), unless 1F80h makes it start by itself. SIGTERM and Ctrl-C end
+    it: its last frame is a heartbeat with the state STOPPED (7xx#04).
+    """
     parser.add_argument("--node-id", type=common.node_id, required=True, metavar="ID", help="1 to 127")
     parser.add_argument("--source", default="sim", metavar="SOURCE", help=f"{KINDS} (default %(default)s)")
     parser.add_argument("--layout", default="I", metavar="I|II|III|FILE", help="gauge layout (default %(default)s)")

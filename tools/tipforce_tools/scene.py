@@ -17,12 +17,10 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce run`."""
-    parser.epilog = (
-        "Time is simulated, without a bus and without waiting, unless the scene has a [bus] or a bus flag is given.\n"
-        "Exit code 1: an expectation of the scene ([[expect]]) did not hold.\n"
-        "  tipforce run grasp --duration 60 -i socketcan -c vcan0"
-    )
+    """Time is simulated, without a bus and without waiting, unless the scene has a [bus] or a bus flag is given.
+    Exit code 1: an expectation of the scene ([[expect]]) did not hold.
+      tipforce run grasp --duration 60 -i socketcan -c vcan0
+    """
     parser.add_argument("scene", metavar="SCENE", help="a TOML file, or a shipped scene: grasp")
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scene's duration_s")
     parser.add_argument("--seed", type=common.whole_number, metavar="N", help="instead of the scene's seed")

@@ -13,16 +13,14 @@ MIN_SAMPLES, MAX_SAMPLES = 10, 100_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of guide."""
-    parser.epilog = (
-        "At each step: Enter captures, s skips, r repeats the last step, q saves and quits. Each capture is one row\n"
-        "of the session file, written to disk at once: the same command continues where it stopped. At the end the\n"
-        "calibration is fitted, shown, and after confirmation written to the node, verified and stored.\n"
-        "  tipforce calibrate guide --node 5 --weights 4.4,2.2 --session a.csv -o finger.toml -i socketcan -c can0\n"
-        "  tipforce calibrate guide --node 5 --auto -o finger.toml -i socketcan -c vcan0      (a simulated node)\n"
-        "A plan for another rig (TOML): a [[step]] per load with P_N, phi_deg, theta_deg, optional mode (pull, push,\n"
-        "tare) and instruction; tare_every = 4 sets the number of loads between unloaded readings."
-    )
+    """At each step: Enter captures, s skips, r repeats the last step, q saves and quits. Each capture is one row
+    of the session file, written to disk at once: the same command continues where it stopped. At the end the
+    calibration is fitted, shown, and after confirmation written to the node, verified and stored.
+      tipforce calibrate guide --node 5 --weights 4.4,2.2 --session a.csv -o finger.toml -i socketcan -c can0
+      tipforce calibrate guide --node 5 --auto -o finger.toml -i socketcan -c vcan0      (a simulated node)
+    A plan for another rig (TOML): a [[step]] per load with P_N, phi_deg, theta_deg, optional mode (pull, push,
+    tare) and instruction; tare_every = 4 sets the number of loads between unloaded readings.
+    """
     parser.add_argument("--node", "--node-id", type=common.node_id, required=True, metavar="ID", help="1 to 127")
     parser.add_argument("--plan", metavar="PLAN.toml", help="steps for another rig")
     parser.add_argument("--weights", metavar="N,N", help=f"weights in newtons (default {DEFAULT_WEIGHTS})")

@@ -16,14 +16,12 @@ _LENGTHS = ("a", "d", "r", "h1", "h2", "width")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce design optimise`."""
-    parser.epilog = (
-        "Envelope and stress default to the size of the paper's fabricated body and its maximum stress at the load;\n"
-        "the paper states no minimum thickness or slenderness. Exit code 1 if beam theory and the frame differ by\n"
-        "more than 3 % on the best design. The condition number does not fix the thickness; minimum noise does.\n"
-        "`I glued`: case I with gauges of the stated length, which do not fit at the paper's points.\n"
-        "  tipforce design optimise --gauges 4 -o four.toml && tipforce node --node-id 5 --layout four.toml ..."
-    )
+    """Envelope and stress default to the size of the paper's fabricated body and its maximum stress at the load;
+    the paper states no minimum thickness or slenderness. Exit code 1 if beam theory and the frame differ by
+    more than 3 % on the best design. The condition number does not fix the thickness; minimum noise does.
+    `I glued`: case I with gauges of the stated length, which do not fit at the paper's points.
+      tipforce design optimise --gauges 4 -o four.toml && tipforce node --node-id 5 --layout four.toml ...
+    """
     parser.add_argument(
         "--objective", choices=("theta", "noise", "singular", "condition"), default="theta",
         help="minimise u(theta) (RMS over the loads), sqrt(trace(C C^T)), 1 / smallest singular value, or the "

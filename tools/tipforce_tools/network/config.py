@@ -33,18 +33,16 @@ ACTIONS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce config`."""
-    parser.epilog = (
-        "A TOML file has a table [objects] of names (docs/objects.md) or indices, and values:\n"
-        "  [objects]\n"
-        '  "heartbeat.producer_ms" = 500\n'
-        '  "0x6114:01" = 1000\n'
-        '  "tpdo1.mapping" = ["process_value_int16:7", "status", "counter"]\n'
-        '  "tpdo3.cob_id" = "$NODEID+0x40000380"\n'
-        "The calibration is not included: see `tipforce calibrate apply`.\n"
-        "  tipforce config apply 6 finger.toml -i socketcan -c can0 --store\n"
-        "  tipforce config save 7 drive.dcf --eds drive.eds -i socketcan -c can0"
-    )
+    """A TOML file has a table [objects] of names (docs/objects.md) or indices, and values:
+      [objects]
+      "heartbeat.producer_ms" = 500
+      "0x6114:01" = 1000
+      "tpdo1.mapping" = ["process_value_int16:7", "status", "counter"]
+      "tpdo3.cob_id" = "$NODEID+0x40000380"
+    The calibration is not included: see `tipforce calibrate apply`.
+      tipforce config apply 6 finger.toml -i socketcan -c can0 --store
+      tipforce config save 7 drive.dcf --eds drive.eds -i socketcan -c can0
+    """
     add_choice(parser, "action", ACTIONS)
     parser.add_argument("node", type=common.node_id, metavar="ID")
     parser.add_argument("file", nargs="?", default="", metavar="FILE", help="*.dcf, or TOML; save: - is stdout")

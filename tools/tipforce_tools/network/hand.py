@@ -42,7 +42,6 @@ ACTIONS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce hand`."""
     parser.epilog = (
         f"The file (docs/hand.md has all keys):\n{EXAMPLE}\n"
         "  tipforce hand run hand.toml --json -i socketcan -c vcan0 | head\n"

@@ -35,14 +35,12 @@ _NOT_THERE = (codes.NO_OBJECT, codes.NO_SUB)  # SDO aborts: no such object, no s
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce sdo`."""
-    parser.epilog = (
-        "examples (CiA 309-3 words, or names of the dictionary; docs/objects.md lists them):\n"
-        "  tipforce sdo read 10 0x1017 0 u16\n"
-        "  tipforce sdo read 10 P                    also calibration.generation, calibration.matrix:3, 0x2103:04\n"
-        "  tipforce sdo write 10 heartbeat.producer_ms 500\n"
-        "types: u8 u16 u32 i8 i16 i32 r32 vs (string) d (domain, as hex bytes)"
-    )
+    """examples (CiA 309-3 words, or names of the dictionary; docs/objects.md lists them):
+      tipforce sdo read 10 0x1017 0 u16
+      tipforce sdo read 10 P                    also calibration.generation, calibration.matrix:3, 0x2103:04
+      tipforce sdo write 10 heartbeat.producer_ms 500
+    types: u8 u16 u32 i8 i16 i32 r32 vs (string) d (domain, as hex bytes)
+    """
     add_choice(parser, "action", ACTIONS)
     parser.add_argument("node", type=common.node_id, metavar="ID")
     parser.add_argument("words", nargs="*", metavar="OBJECT", help="NAME or INDEX SUB [TYPE]; write: then VALUE")
