@@ -244,6 +244,15 @@ config apply 5 none.toml NOBODY | config apply 5 none.dcf NOBODY => @: No such f
 config apply 5 empty.dcf NOBODY => @: no [section] in it
 config apply 5 minus.toml NOBODY => write $NODEID+0x180
 config save 5 NOBODY => which FILE?
+simulate x.eds --set foo X | simulate x.eds --set =4 X | simulate x.eds --set 5:=4 X => '@': the form is OBJECT=VALUE
+simulate x.eds --node-id 5 --set 7:0x1017=4 X => no node 7 here
+simulate x.eds --node-id 5,6 --set 0x1017=4 X => several nodes; write ID:OBJECT=VALUE
+simulate a b c --node-id 5,6 X => 2 for 3 files
+simulate x.eds --node-id 5,6 --store s.json X => one file belongs to one node
+simulate node.toml --node-id 5 X => a machine in TOML stands alone
+decode run.log --dbc tipforce --dcf empty.dcf => leave out --dcf and --ask
+decode run.log --signals , => expected names such as P,theta
+export xdd --programs --eds empty.dcf => leave one out
 calibrate verify absent.toml --node 5 X => calibration absent.toml: No such file or directory
 lss store X => add --serial N
 lss assign X => IDS missing

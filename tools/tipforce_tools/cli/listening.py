@@ -135,11 +135,8 @@ def _group(
 def open_targets(
     targets: Sequence[Selection], args: Namespace, *, tick_s: float | None = None, hints: Hints | None = None
 ) -> ReceiverGroup:
-    """Listen to ``targets``, each on its channel; without targets, to the bus that the flags name.
-
-    ``tick_s`` is the minimum time between two batches (None: that of a live display). ``hints`` see the frames of buses
-    without filters. Raises EnvironmentLackError if a bus cannot be opened, after closing the others.
-    """
+    """Listen to ``targets``, each on its channel, or to the bus of the flags; ``tick_s``: least time between batches
+    (None: of a live display). ``hints`` see buses without filters. Raises EnvironmentLackError, closing all buses."""
     from tipforce.host.live.receiver import TICK_S, Selection
 
     options = bus_flags.find_bus(args, named=bool(targets))

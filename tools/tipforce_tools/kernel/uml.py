@@ -258,9 +258,8 @@ def run_with_vcan(
 ) -> int:  # fmt: skip
     """Run `command` where all `interfaces` are vcan buses and up; return its exit code, or that of `run_here`.
 
-    Directory and environment are the caller's. `memory` and `writable` (let the command write the caller's files) apply
-    to User-mode Linux only. `announced`: first print on stderr where the command runs. Raises InputError for an
-    unusable argument and EnvironmentLackError if the machine cannot provide vcan; its text names what to install.
+    `memory` and `writable` (let the command write the caller's files) apply to User-mode Linux only. `announced`: first
+    say where it runs. Raises InputError for an argument, EnvironmentLackError naming what to install for vcan.
     """
     for name in interfaces:
         if re.fullmatch(r"[A-Za-z][\w.-]{0,14}", name, re.ASCII) is None:
