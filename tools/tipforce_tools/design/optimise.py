@@ -108,7 +108,7 @@ def _print_tables(entries: list[Assessment], noise_microstrain: float, load_newt
     structures, figures, frames = [], [], []
     for entry in entries:
         lengths = (f"{1e3 * getattr(entry.geometry, f'{symbol}_m'):.3f}" for symbol in _LENGTHS)
-        structures.append((entry.name, *lengths, ", ".join(gauge_name(gauge) for gauge in entry.gauges)))
+        structures.append((entry.name, *lengths, ", ".join(map(gauge_name, entry.gauges))))
         merit, joint = entry.theory, entry.frame_finite_joint
         figures.append((
             entry.name, *_figures(merit), f"{1e3 * merit.noise_gain_newtons:.2f}",
@@ -120,20 +120,14 @@ def _print_tables(entries: list[Assessment], noise_microstrain: float, load_newt
             f"{100 * entry.disagreement:.2f}", f"{joint.u_theta_deg:.4f}", f"{joint.condition_number:.3f}",
         ))  # fmt: skip
     doubts = [None if entry.agrees else "yellow" for entry in entries]
-    common.print_rows(
-        "Structures, mm; gauges: beam, side, middle of the gauge from the joint",
-        ("", *(f">{symbol}" for symbol in _LENGTHS), "SG1, SG2, ..."), structures,
-    )  # fmt: skip
-    common.print_rows(
-        f"Standard uncertainties at {noise_microstrain:g} microstrain and {load_newtons:g} N, and limits of the body",
-        ("", ">u(P) mN", ">u(phi) deg", ">u(theta) deg", ">mN per ue", ">least ue/N", ">cond", ">MPa", ">slit shuts N"),
-        figures, doubts,
-    )  # fmt: skip
-    common.print_rows(
-        "The same by the frame: shear and elastic roots; then with the joint a block h2 wide as well",
-        ("", ">u(P) mN", ">u(phi) deg", ">u(theta) deg", ">cond", ">differs %", ">block: u(theta)", ">cond"),
-        frames, doubts,
-    )  # fmt: skip
+    u = ("", ">u(P) mN", ">u(phi) deg", ">u(theta) deg")
+    title = "Structures, mm; gauges: beam, side, middle of the gauge from the joint"
+    common.print_rows(title, ("", *(f">{symbol}" for symbol in _LENGTHS), "SG1, SG2, ..."), structures)
+    at = f"at {noise_microstrain:g} microstrain and {load_newtons:g} N"
+    title = f"Standard uncertainties {at}, and limits of the body"
+    common.print_rows(title, (*u, ">mN per ue", ">least ue/N", ">cond", ">MPa", ">slit shuts N"), figures, doubts)
+    title = "The same by the frame: shear and elastic roots; then with the joint a block h2 wide as well"
+    common.print_rows(title, (*u, ">cond", ">differs %", ">block: u(theta)", ">cond"), frames, doubts)
 
 
 def _figures(merit: Merit) -> tuple[str, str, str]:

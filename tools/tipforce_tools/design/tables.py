@@ -127,8 +127,7 @@ def sweep_section(args: argparse.Namespace, geometry: Geometry, gauges: Sequence
         moved_m = [value_m if not resized and args.what in ("all", name) else 0.0 for name in names]
         matrix = position_matrix(body, [shifted(body, *of) for of in zip(gauges, moved_m, strict=True)])
         largest = max(maximum_over_contacts((g1, g2, g3)).value for g1, g2, g3 in matrix.tolist())
-        own = {args.what + "_mm": value_mm, **figures(matrix), "largest_strain_ue_per_N": 1e6 * largest}
-        records.append(own)
+        records.append({f"{args.what}_mm": value_mm, **figures(matrix), "largest_strain_ue_per_N": 1e6 * largest})
     columns = {
         args.what + "_mm": f"{args.what} (mm)",
         "condition": "condition number",
