@@ -24,6 +24,7 @@ from tipforce.scene import beam_calibration
 from tipforce.sources.simulated import SimulatedSource
 from tipforce_tools.cli.main import main
 from tools.decode.logs import decode, log_lines, write_log
+from tools.rig import Printed
 
 MARK = "5EC4E7"
 """Stands in every file outside; no output may have it."""
@@ -39,7 +40,6 @@ NAMES = [
 """Names in files; with the suffix of their kind where they end in x or link."""
 
 Act = Callable[[], object]
-BUS = ["-i", "virtual", "-c", "earlier"]
 
 
 @pytest.fixture
@@ -363,21 +363,18 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("decode run.log -o data/", 2, "`tipforce decode LOGS -o NEW/` writes its logs again"),
     ],
 )
-def test_a_command_takes_them(line: str, code: int, said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(line.split()) == code
-    printed = capsys.readouterr()
-    assert said in printed.out + printed.err
+def test_a_command_takes_them(line: str, code: int, said: str, printed: Printed) -> None:
+    assert said in "".join(printed(code, line))
 
 
 @pytest.mark.usefixtures("folder")
-def test_an_mcap_is_its_log(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_mcap_is_its_log(printed: Printed) -> None:
     texts = []
     for name in ("run.log", "run.mcap"):
-        assert main(["decode", name, "-q", "-o", "out.csv"]) == 0
+        printed(0, f"decode {name} -q -o out.csv")
         texts.append(Path("out.csv").read_text())
     assert texts[0] == texts[1]
-    assert main(["decode", "run.mcap", "--summary", "--json", "-q"]) == 0
-    assert json.loads(capsys.readouterr().out)["samples"] == 50
+    assert printed(0, "decode run.mcap --summary --json -q").records[0]["samples"] == 50
 
 
 def test_a_node_and_a_machine_start_with_their_stores(folder: Path) -> None:
@@ -391,11 +388,9 @@ def test_a_node_and_a_machine_start_with_their_stores(folder: Path) -> None:
 
 
 @pytest.mark.usefixtures("folder")
-def test_settings_are_applied_to_a_node(capsys: pytest.CaptureFixture[str]) -> None:
+def test_settings_are_applied_to_a_node(printed: Printed) -> None:
     with tipforce.simulated_hand([5], interface="virtual", channel="earlier") as bus:
-        assert main(["config", "apply", "5", "kept.toml", "-y", *BUS]) == 0
-        assert main(["config", "verify", "5", "kept.toml", *BUS]) == 0
+        for words in ("config apply 5 kept.toml -y", "config verify 5 kept.toml",
+                      "calibrate apply cal.toml --node 5 -y", "calibrate verify cal.toml --node 5"):  # fmt: skip
+            assert "Traceback" not in printed(0, f"{words} -i virtual -c earlier").err
         assert bus.finger(5).sdo.read(od.HEARTBEAT_PRODUCER_MS) == 250
-        assert main(["calibrate", "apply", "cal.toml", "--node", "5", "-y", *BUS]) == 0
-        assert main(["calibrate", "verify", "cal.toml", "--node", "5", *BUS]) == 0
-    assert "Traceback" not in capsys.readouterr().err
