@@ -204,12 +204,11 @@ def _terminal_size() -> str:
 def memory_folder(memory: str, otherwise: Path) -> str:
     """Return the folder of the machine's memory: /dev/shm if it is large enough and executable, else `otherwise`. A
     container's /dev/shm is often 64 MB and noexec; the machine would crash at the first page beyond it."""
-    try:
+    if os.access("/dev/shm", os.W_OK):
         shm = os.statvfs("/dev/shm")
-    except OSError:
-        return str(otherwise)
-    usable = not shm.f_flag & os.ST_NOEXEC and os.access("/dev/shm", os.W_OK)
-    return "/dev/shm" if usable and shm.f_bavail * shm.f_frsize >= memory_bytes(memory) else str(otherwise)
+        if not shm.f_flag & os.ST_NOEXEC and shm.f_bavail * shm.f_frsize >= memory_bytes(memory):
+            return "/dev/shm"
+    return str(otherwise)
 
 
 def memory_bytes(memory: str) -> int:
