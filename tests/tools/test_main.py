@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -303,12 +304,8 @@ def test_on_a_real_bus_a_person_is_asked(
     answer: str, done: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "stdin", Terminal(answer))
-    args = bus_arguments("-i", "socketcan", "-c", "can0")
-    if done:
-        bus_flags.confirm(args, "this persists")
-    else:
-        with pytest.raises(InputError, match="not done"):
-            bus_flags.confirm(args, "this persists")
+    with nullcontext() if done else pytest.raises(InputError, match="not done"):
+        bus_flags.confirm(bus_arguments("-i", "socketcan", "-c", "can0"), "this persists")
     assert capsys.readouterr() == ("", "this persists. Continue? [y/N] ")
 
 
