@@ -7,26 +7,18 @@ from tipforce_tools.cli.completion import root_parser
 from tipforce_tools.cli.main import all_parsers
 
 
-def command_lines(parser: argparse.ArgumentParser, path: str = "tipforce") -> Iterator[tuple[str, list[str]]]:
-    """Each command line, with its commands or actions; empty where flags and values follow."""
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            yield path, list(action.choices)
-            for name, one in action.choices.items():
-                yield from command_lines(one, f"{path} {name}")
-            return
-    yield path, []
+def lines(parser: argparse.ArgumentParser, path: str = "tipforce") -> Iterator[tuple[str, argparse.ArgumentParser]]:
+    """Each command line with its parser, before those of its commands or actions."""
+    yield path, parser
+    for name, below in choices(parser).items():
+        yield from lines(below, f"{path} {name}")
 
 
-def parsers(parser: argparse.ArgumentParser, path: str = "tipforce") -> Iterator[tuple[str, argparse.ArgumentParser]]:
-    """Each command line without further commands or actions, with its parser."""
-    subparsers = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
-    if not subparsers:
-        yield path, parser
-    for action in subparsers:
-        for name, one in action.choices.items():
-            yield from parsers(one, f"{path} {name}")
+def choices(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    """The commands or actions of a parser; none where flags and values follow."""
+    return next((dict(a.choices) for a in parser._actions if isinstance(a, argparse._SubParsersAction)), {})
 
 
-LINES = dict(command_lines(root_parser("bash", all_parsers())))
-PARSERS = dict(parsers(root_parser("bash", all_parsers())))
+ALL = dict(lines(root_parser("bash", all_parsers())))
+LINES = {path: list(choices(parser)) for path, parser in ALL.items()}
+PARSERS = {path: parser for path, parser in ALL.items() if not choices(parser)}

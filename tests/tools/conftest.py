@@ -8,7 +8,6 @@ import pytest
 
 from canopen_device.core.node import Device
 from canopen_device.running import loop
-from tipforce_tools.cli.main import main
 from tools.rig import Ended, Printed, Streams, Tipforce, called
 
 
@@ -27,6 +26,9 @@ def put_back_process_state() -> Iterator[None]:
 @pytest.fixture(autouse=True)
 def any_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a flag a command finds no bus, also on a machine with one; no line of progress on a slow one."""
+    for name in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("can.util.CONFIG_FILES", [])
     monkeypatch.setattr("tipforce.host.network.interfaces.interfaces", dict)
     monkeypatch.setattr("tipforce_tools.cli.common._LINE_S", float("inf"))
 
@@ -67,9 +69,8 @@ def tipforce(bus_words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> 
 def printed(capsys: pytest.CaptureFixture[str]) -> Printed:
     def run(code: int, words: str | Sequence[object]) -> Streams:
         capsys.readouterr()
-        ended = main([str(word) for word in (words.split() if isinstance(words, str) else words)])
-        result = Streams(*capsys.readouterr())
-        assert ended == code, result.err
-        return result
+        ended = called(capsys, *(words.split() if isinstance(words, str) else words))
+        assert ended.code == code, ended.err
+        return Streams(ended.out, ended.err)
 
     return run

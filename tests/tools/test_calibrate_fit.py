@@ -50,8 +50,8 @@ def fitted(printed: Printed) -> Fitted:
     """The record of `calibrate fit` with these words."""
 
     def fit(*words: object) -> dict[str, Any]:
-        (line,) = printed(0, ["calibrate", "fit", *words, "--json"]).out.splitlines()
-        return dict(json.loads(line))
+        (record,) = printed(0, ["calibrate", "fit", *words, "--json"]).records
+        return record
 
     return fit
 

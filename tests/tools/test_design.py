@@ -5,6 +5,7 @@ import importlib.util
 import io
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +23,8 @@ from tools.rig import Printed
 NEEDS_MATPLOTLIB = pytest.mark.skipif(
     importlib.util.find_spec("matplotlib") is None, reason="figures need the extra `plot`"
 )
-QUICK = ("--starts", "2")
-
-
-def records(capsys: pytest.CaptureFixture[str], *words: str) -> list[dict[str, Any]]:
-    assert main(["design", *words, "--json"]) == 0
-    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+QUICK = "--starts 2"
+Optimised = Callable[[str], list[dict[str, Any]]]
 
 
 def rows(found: list[dict[str, Any]], table: str) -> list[dict[str, Any]]:
@@ -137,8 +134,8 @@ def test_off_axis_claim(everything: list[dict[str, Any]]) -> None:
 
 
 @pytest.mark.parametrize("what", ["a", "d", "r", "h1", "h2", "width"])
-def test_sweep_of_a_dimension_passes_the_nominal_value(capsys: pytest.CaptureFixture[str], what: str) -> None:
-    found = rows(records(capsys, "sweep", what, "--steps", "3"), "sweep")
+def test_sweep_of_a_dimension_passes_the_nominal_value(printed: Printed, what: str) -> None:
+    found = rows(printed(0, f"design sweep {what} --steps 3 --json").records, "sweep")
     assert f"{found[1]['condition']:.3f}" == "2.510"
     assert found[1]["noise_gain_N_per_ue"] == pytest.approx(0.015789, abs=1e-6)
     assert found[1]["largest_strain_ue_per_N"] == pytest.approx(912.087 / 4.4, abs=1e-3)
@@ -146,10 +143,10 @@ def test_sweep_of_a_dimension_passes_the_nominal_value(capsys: pytest.CaptureFix
         assert found[0]["noise_gain_N_per_ue"] == pytest.approx(0.5 * found[1]["noise_gain_N_per_ue"])
 
 
-def test_sweep_of_a_shift_is_figure_6(capsys: pytest.CaptureFixture[str], everything: list[dict[str, Any]]) -> None:
+def test_sweep_of_a_shift_is_figure_6(printed: Printed, everything: list[dict[str, Any]]) -> None:
     for what in ("SG1", "SG2", "SG3", "all"):
-        words = ("sweep", what, "--layout", "II", "--from", "0", "--to", "5", "--steps", "11")
-        swept = {row[f"{what}_mm"]: row["condition"] for row in rows(records(capsys, *words), "sweep")}
+        found = printed(0, f"design sweep {what} --layout II --from 0 --to 5 --steps 11 --json").records
+        swept = {row[f"{what}_mm"]: row["condition"] for row in rows(found, "sweep")}
         row = next(row for row in rows(everything, "fig6") if (row["case"], row["moved"]) == ("II", what))
         for shift, condition in zip(row["shift_mm"], row["condition"], strict=True):
             assert swept[shift] == pytest.approx(condition)
@@ -161,10 +158,9 @@ def test_missing_matplotlib_names_the_extra(printed: Printed, monkeypatch: pytes
 
 
 @NEEDS_MATPLOTLIB
-def test_figures_are_reproducible_and_small(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_figures_are_reproducible_and_small(printed: Printed, tmp_path: Path) -> None:
     for what, name in (("all", "one"), ("3", "two"), ("scaling", "two")):  # which has no figure
-        assert main(["design", "table", what, "--repeats", "5", "-q", "-o", str(tmp_path / name)]) == 0
-    capsys.readouterr()
+        printed(0, f"design table {what} --repeats 5 -q -o {tmp_path / name}")
     names = {path.name for path in (tmp_path / "one").iterdir()}
     stems = ("cross-section", "condition-and-noise", "figure-6", "grooves", "figure-9", "off-axis")
     assert names == {f"{stem}.svg" for stem in stems}
@@ -177,22 +173,26 @@ def test_figures_are_reproducible_and_small(capsys: pytest.CaptureFixture[str], 
 
 
 @NEEDS_MATPLOTLIB
-def test_sweep_figure(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_sweep_figure(printed: Printed, tmp_path: Path) -> None:
     path = tmp_path / "r.png"
-    assert main(["design", "sweep", "r", "--steps", "5", "-o", str(path)]) == 0
+    assert f"wrote {path}" in printed(0, f"design sweep r --steps 5 -o {path}").err
     assert path.read_bytes().startswith(b"\x89PNG")
-    assert f"wrote {path}" in capsys.readouterr().err
 
 
-def optimised(capsys: pytest.CaptureFixture[str], *words: str) -> list[dict[str, Any]]:
-    assert main(["design", "optimise", "--json", *QUICK, *words]) == 0
-    captured = capsys.readouterr()
-    assert captured.err == ""
-    return [json.loads(line) for line in captured.out.splitlines()]
+@pytest.fixture
+def optimised(printed: Printed) -> Optimised:
+    """The records of `design optimise` with these words."""
+
+    def run(words: str) -> list[dict[str, Any]]:
+        streams = printed(0, f"design optimise --json {QUICK} {words}")
+        assert streams.err == ""
+        return streams.records
+
+    return run
 
 
-def test_the_papers_cases_stand_beside_the_designs(capsys: pytest.CaptureFixture[str]) -> None:
-    *entries, summary = optimised(capsys, "--starts", "6")
+def test_the_papers_cases_stand_beside_the_designs(optimised: Optimised) -> None:
+    *entries, summary = optimised("--starts 6")
     by_name = {entry["name"]: entry for entry in entries}
     assert list(by_name)[:5] == ["I", "II", "III", "I glued", "best"]
     assert [round(by_name[case]["condition_number"], 3) for case in ("I", "II", "III")] == [2.510, 2.610, 2.711]
@@ -208,10 +208,10 @@ def test_the_papers_cases_stand_beside_the_designs(capsys: pytest.CaptureFixture
     assert by_name["best"]["frame_u_theta_deg"] == pytest.approx(by_name["best"]["u_theta_deg"], rel=0.03)
 
 
-def test_the_layout_that_it_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_layout_that_it_writes(tmp_path: Path, optimised: Optimised) -> None:
     path = tmp_path / "four.toml"
-    words = ["--gauges", "4", "--load", "3", "--noise", "1", "-q", "-o", str(path)]
-    best = next(record for record in optimised(capsys, *words) if record["name"] == "best")
+    records = optimised(f"--gauges 4 --load 3 --noise 1 -q -o {path}")
+    best = next(record for record in records if record["name"] == "best")
     text = path.read_text()
     assert text.startswith("# tipforce design optimise --objective theta --gauges 4 --seed 0\n")
     geometry, gauges = read_layout(str(path))
@@ -225,7 +225,7 @@ def test_the_layout_that_it_writes(tmp_path: Path, capsys: pytest.CaptureFixture
 
 def test_for_people(printed: Printed, tmp_path: Path) -> None:
     path = tmp_path / "layout.toml"
-    captured = printed(0, ["design", "optimise", *QUICK, "-o", str(path)])
+    captured = printed(0, f"design optimise {QUICK} -o {path}")
     assert "Structures, mm" in captured.out
     assert "K_H, S_H, U" in captured.out
     assert "condition number alone: 1." in captured.out
@@ -235,14 +235,14 @@ def test_for_people(printed: Printed, tmp_path: Path) -> None:
 
 
 def test_a_design_that_the_frame_does_not_confirm_fails(printed: Printed) -> None:
-    out = printed(1, ["design", "optimise", *QUICK, "--objective", "condition"]).out
+    out = printed(1, f"design optimise {QUICK} --objective condition").out
     assert "agree within 3 %: FAIL (condition" in out
     assert "condition: u(theta) +" in out
 
 
-def test_the_flags_reach_the_limits(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_flags_reach_the_limits(optimised: Optimised) -> None:
     words = "--envelope 24,28 --width 8 --min-h 0.3 --gauge-length 1.5 --load 6 --max-stress 300 --slit 0.2"
-    best = next(record for record in optimised(capsys, *words.split()) if record["name"] == "best")
+    best = next(record for record in optimised(words) if record["name"] == "best")
     assert best["r_m"] <= 12e-3 + 1e-9
     assert best["d_m"] + best["r_m"] + best["h1_m"] / 2 <= 28e-3 + 1e-8
     assert min(best["h1_m"], best["h2_m"]) >= 0.3e-3 - 1e-9
@@ -251,7 +251,7 @@ def test_the_flags_reach_the_limits(capsys: pytest.CaptureFixture[str]) -> None:
     assert best["slit_load_newtons"] >= 6 * (1 - 1e-6)
 
 
-def test_gauges_too_long_for_the_paper_leave_out_its_glued_case(capsys: pytest.CaptureFixture[str]) -> None:
-    *entries, summary = optimised(capsys, *["--gauge-length", "15.5", "--envelope", "80,80", "--slit", "1"])
+def test_gauges_too_long_for_the_paper_leave_out_its_glued_case(optimised: Optimised) -> None:
+    *entries, summary = optimised("--gauge-length 15.5 --envelope 80,80 --slit 1")
     assert "I glued" not in [entry["name"] for entry in entries]
     assert summary["u_theta_against_case_I_glued"] is None

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-import tipforce
 from canopen_device.eds import read_eds
 from canopen_device.machine import shipped_eds
 from eds.samples import pdo, text, var
+from tipforce import simulated_device
 from tipforce_robots.ros2.bridge import ros_name
 from tipforce_tools.cli.main import main
-from tools.rig import Printed
+from tools.rig import Printed, Tipforce
 
 LOG = """\
 (1.000000) can0 000#0105
@@ -31,51 +31,45 @@ def eds(tmp_path: Path) -> str:
     return shutil.copy(str(shipped_eds("cia402")), str(tmp_path / "drive.eds"))
 
 
-def test_sdo_by_the_names_of_the_file(eds: str, capsys: pytest.CaptureFixture[str]) -> None:
-    bus = ("-i", "virtual", "-c", "eds-flag")
-    with tipforce.simulated_device("cia402", 5, {"interface": "virtual", "channel": "eds-flag"}) as drive:
+def test_sdo_by_the_names_of_the_file(eds: str, printed: Printed) -> None:
+    bus = ("--eds", eds, "-i", "virtual", "-c", "eds-flag")
+    with simulated_device("cia402", 5, {"interface": "virtual", "channel": "eds-flag"}) as drive:
         drive["Home offset"] = -7
         for words, shown in (
             (("read", "5", "Home offset"), "-7"), (("read", "5", "0x607C", "0"), "-7"),
             (("read", "5", "Software position limit/Maximum position limit"), "1000000"),
             (("read", "5", "1008h"), "tipforce CiA 402 drive"),
         ):  # fmt: skip
-            assert main(["sdo", *words, "--eds", eds, *bus]) == 0
-            assert capsys.readouterr().out.strip() == shown
-        assert main(["sdo", "write", "5", "Profile velocity", "2000", "--eds", eds, *bus]) == 0
+            assert printed(0, ["sdo", *words, *bus]).out.strip() == shown
+        printed(0, ["sdo", "write", "5", "Profile velocity", "2000", *bus])
         assert drive["Profile velocity"] == 2000
-        capsys.readouterr()
-        assert main(["sdo", "dump", "5", "--eds", eds, "--json", *bus]) == 0
-        rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        rows = printed(0, ["sdo", "dump", "5", "--json", *bus]).records
         by_name = {row["name"]: row["value"] for row in rows}
         assert by_name["Profile velocity"] == 2000
         assert by_name["Identity/Product code"] == 0x402
         assert len(rows) > 80
-        assert main(["sdo", "read", "5", "Position", "--eds", eds, *bus]) == 2
-        assert "'Position actual value' (0x6064:00)" in capsys.readouterr().err
+        assert "'Position actual value' (0x6064:00)" in printed(2, ["sdo", "read", "5", "Position", *bus]).err
 
 
-def test_decode_by_the_names_of_the_file(eds: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_decode_by_the_names_of_the_file(eds: str, tmp_path: Path, printed: Printed) -> None:
     (tmp_path / "run.log").write_text(LOG)
-    assert main(["decode", str(tmp_path / "run.log"), "--eds", f"5={eds}", "--json"]) == 0
-    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    rows = printed(0, f"decode {tmp_path}/run.log --eds 5={eds} --json").records
     assert [row["node"] for row in rows] == [5, 5, 5]
     assert rows[0]["Statusword"] == 0x250
     assert (rows[1]["Controlword"], rows[1]["Modes_of_operation"]) == (15, 1)
     assert (rows[2]["Position_actual_value"], rows[2]["Velocity_actual_value"]) == (1000, -2)
     for words, said in (
-        (["--eds", f"5={eds}", "--eds", f"5={eds}"], "node 5 has a file already"),
-        (["--eds", "5=none.eds"], "No such file"), (["--eds", f"5={eds}", "--gauges", "4"], "leave out --dbc"),
+        (f"--eds 5={eds} --eds 5={eds}", "node 5 has a file already"), ("--eds 5=none.eds", "No such file"),
+        (f"--eds 5={eds} --gauges 4", "leave out --dbc"),
     ):  # fmt: skip
-        assert main(["decode", str(tmp_path / "run.log"), *words]) == 2
-        assert said in capsys.readouterr().err
+        assert said in printed(2, f"decode {tmp_path}/run.log {words}").err
 
 
 def test_plot_draws_every_signal_of_the_file(eds: str, tmp_path: Path, printed: Printed) -> None:
     pytest.importorskip("matplotlib")
     (tmp_path / "run.log").write_text(LOG)
-    words = ["--eds", f"5={eds}", "-o", str(tmp_path / "run.svg"), "--json"]
-    (drive,) = json.loads(printed(0, ["plot", str(tmp_path / "run.log"), *words]).out)["nodes"]
+    (plot,) = printed(0, f"plot {tmp_path}/run.log --eds 5={eds} -o {tmp_path}/run.svg --json").records
+    (drive,) = plot["nodes"]
     assert {"Statusword", "Controlword", "Position_actual_value", "Velocity_actual_value"} <= set(drive["signals"])
 
 
@@ -146,7 +140,7 @@ def test_layouts_follow_the_sdo_traffic_of_the_log(
 ) -> None:
     (tmp_path / "run.log").write_text(LOG + changed + LATER)
     words = [str(tmp_path / "run.log"), "--eds", f"5={eds}"]
-    rows = [json.loads(line) for line in printed(0, ["decode", *words, "--format", "jsonl", "-q"]).out.splitlines()]
+    rows = printed(0, ["decode", *words, "--format", "jsonl", "-q"]).records
     known = [{k: v for k, v in row.items() if v is not None and k.endswith("actual_value")} for row in rows]
     assert [row for row in known if row] == [{"Position_actual_value": 1000, "Velocity_actual_value": -2}, after]
     shown = [line for line in printed(0, ["dump", *words, "--decode"]).out.splitlines() if "actual_value=" in line]
@@ -169,39 +163,39 @@ def test_the_eds_that_a_node_stores(tmp_path: Path, printed: Printed) -> None:
     path = tmp_path / "lamp.eds"
     path.write_text(text(var("1021", 0xF, "ro"), var("2000", 6, "rw", "500", ParameterName="Brightness")))
     bus = ("-i", "virtual", "-c", "stored-eds", "--json")
-    with tipforce.simulated_device(path, 5, {"interface": "virtual", "channel": "stored-eds"}) as lamp:
-        rows = [json.loads(line) for line in printed(0, ["sdo", "dump", "5", *bus]).out.splitlines()]
+    with simulated_device(path, 5, {"interface": "virtual", "channel": "stored-eds"}) as lamp:
+        rows = printed(0, ["sdo", "dump", "5", *bus]).records
         assert ("Brightness", 500) in [(row["name"], row["value"]) for row in rows]
         assert printed(0, ["config", "show", "5", *bus]).out == ""
         lamp["Brightness"] = 7
         for eds in ((), ("--eds", str(path))):
-            (row,) = [json.loads(line) for line in printed(0, ["config", "show", "5", *eds, *bus]).out.splitlines()]
+            (row,) = printed(0, ["config", "show", "5", *eds, *bus]).records
             assert (row["index"], row["name"], row["value"], row["default"]) == ("0x2000", "Brightness", 7, 500)
-        assert main(["sdo", "write", "5", "Brightness", "9", *bus]) == 0
-        assert json.loads(printed(0, ["sdo", "read", "5", "brightness", *bus]).out)["value"] == 9
-        assert json.loads(printed(0, ["sdo", "read", "5", "0x2000", "0", *bus]).out)["value"] == 9
+        printed(0, ["sdo", "write", "5", "Brightness", "9", *bus])
+        for words in (["brightness"], ["0x2000", "0"]):
+            assert printed(0, ["sdo", "read", "5", *words, *bus]).records[0]["value"] == 9
         assert "close to it: 'Brightness'" in printed(2, ["sdo", "read", "5", "brihtness", *bus]).err
 
 
-def test_write_only_objects_are_set_and_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_write_only_objects_are_set_and_not_compared(tmp_path: Path, printed: Printed) -> None:
     path, toml, xdc = tmp_path / "lamp.eds", tmp_path / "lamp.toml", tmp_path / "lamp.xdc"
     reset, gain = var("2000", 6, "wo", ParameterName="Reset"), var("2001", 6, ParameterName="Gain")
     path.write_text(text(reset, gain, var("2002", 9, "rw", "\u00b5m", ParameterName="Unit")), encoding="utf-8")
     toml.write_text("[objects]\nReset = 3\nGain = 4\n")
     configured = '<CANopenObject index="2001" name="G" objectType="7" dataType="0006" accessType="rw" actualValue="9"/>'
     xdc.write_text(f"<a>{configured}</a>")
-    with tipforce.simulated_device(path, 5, {"interface": "virtual", "channel": "write-only"}) as lamp:
-        bus = ["--eds", str(path), "-i", "virtual", "-c", "write-only"]
-        assert main(["config", "apply", "5", str(toml), *bus]) == 0
-        assert "2 objects, 0 different, 1 write-only, not compared" in capsys.readouterr().err
+    with simulated_device(path, 5, {"interface": "virtual", "channel": "write-only"}) as lamp:
+        bus = f"--eds {path} -i virtual -c write-only"
+        err = printed(0, f"config apply 5 {toml} {bus}").err
+        assert "2 objects, 0 different, 1 write-only, not compared" in err
         assert (lamp["Reset"], lamp["Gain"]) == (3, 4)
-        assert main(["config", "apply", "5", str(xdc), *bus]) == 0
+        printed(0, f"config apply 5 {xdc} {bus}")
         assert lamp["Gain"] == 9
-        assert main(["config", "save", "5", str(toml), "--yes", *bus]) == 0
+        printed(0, f"config save 5 {toml} --yes {bus}")
         assert tomllib.loads(toml.read_text()) == {"objects": {"Gain": 9}}  # a text outside ASCII is left out
 
 
-def test_config_of_another_device(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_config_of_another_device(tmp_path: Path, tipforce: Tipforce) -> None:
     path, toml, dcf = tmp_path / "lamp.eds", tmp_path / "lamp.toml", tmp_path / "lamp.dcf"
     curve = "[2100]\nParameterName=Curve\nObjectType=8\nDataType=6\nAccessType=rw\nDefaultValue=1\nCompactSubObj=3\n"
     path.write_text(
@@ -212,19 +206,17 @@ def test_config_of_another_device(tmp_path: Path, capsys: pytest.CaptureFixture[
             pdo(0x1800, "$NODEID+0x180", 255, 0x20000010, 0x10170010),
         )
     )  # fmt: skip
-    bus = ("-i", "virtual", "-c", "foreign-config", "-q")
     eds = ("--eds", str(path))
 
     def run(*words: object) -> tuple[int, str]:
-        code = main(["config", *map(str, words), *bus])
-        found = capsys.readouterr()
-        return code, found.out + found.err
+        code, out, err = tipforce("config", *words, "-i", "virtual", "-c", "foreign-config", "-q")
+        return code, out + err
 
     toml.write_text(
         '[objects]\nBrightness = 7\n"Heartbeat" = 100\n"Curve" = [4, 5, 6]\n"0x1A00" = ["Heartbeat", "Brightness"]\n'
         '"0x1800:01" = "$NODEID+0x280"\n'
     )
-    with tipforce.simulated_device(path, 5, {"interface": "virtual", "channel": "foreign-config"}) as lamp:
+    with simulated_device(path, 5, {"interface": "virtual", "channel": "foreign-config"}) as lamp:
         code, said = run("apply", 5, toml)
         assert code == 2
         assert "is not a fingertip and stores no EDS; add --eds FILE" in said

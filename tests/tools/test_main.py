@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,20 +16,12 @@ import numpy as np
 import pytest
 
 from tipforce.dictionary.table import SOFTWARE_VERSION
-from tipforce.errors import (
-    EnvironmentLackError,
-    InputError,
-    LogError,
-    NoResponseError,
-    RefusedError,
-    SdoAbortError,
-    TipforceError,
-)
+from tipforce.errors import EnvironmentLackError, InputError, LogError, TipforceError
 from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.main import COMMANDS, EXIT_CODES, command_parser, main
 from tools.command_lines import LINES
 from tools.decode.logs import log_lines, write_log
-from tools.rig import Printed
+from tools.rig import Printed, Tipforce
 
 HEAVY_FOR_ALL = ("numpy", "can", "canopen", "cantools", "msgspec", "rich", "shtab", "websockets")
 HEAVY = (*HEAVY_FOR_ALL, "hypothesis", "cyclonedds", "mcap")
@@ -64,12 +57,8 @@ def test_version_and_no_word(printed: Printed) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(set(COMMANDS) - set(RUN_ALONE)))
-def test_what_is_missing_is_a_usage_error(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    words = [name, "--no-such-flag"] if name == "scan" else [name]
-    with pytest.raises(SystemExit) as caught:
-        main(words)
-    assert caught.value.code == 2
-    [line] = capsys.readouterr().err.splitlines()
+def test_what_is_missing_is_a_usage_error(name: str, tipforce: Tipforce) -> None:
+    [line] = tipforce(f"{name} --no-such-flag" if name == "scan" else name, code=2).err.splitlines()
     assert line.startswith(f"tipforce {name}: error: ")
     assert line.endswith(f"; see `tipforce {name} --help`")
 
@@ -125,21 +114,8 @@ def raising(error: BaseException, cause: BaseException | None = None) -> Callabl
     return body
 
 
-@pytest.mark.parametrize(
-    ("error", "code"),
-    [
-        (InputError("x"), 2), (EnvironmentLackError("x"), 2), (NoResponseError("x"), 5),
-        (SdoAbortError("x", 0x06020000), 11), (RefusedError("x"), 12), (TipforceError("x"), 1),
-    ],
-)  # fmt: skip
-def test_each_error_has_its_exit_code(
-    run_command: Run, error: TipforceError, code: int, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run_command(raising(error)) == code
-    assert capsys.readouterr() == ("", "tipforce: x\n")
-
-
 def test_every_error_class_is_mapped() -> None:
+    """test_wrong_inputs.py has the exit code of each."""
     assert set(EXIT_CODES) == {LogError, *TipforceError.__subclasses__()}
 
 
@@ -160,9 +136,18 @@ def test_a_lack_of_permission_is_9(run_command: Run, error: TipforceError, cause
     assert run_command(raising(error, cause)) == code
 
 
-def test_a_permission_error_itself_is_9(run_command: Run, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_command(raising(PermissionError(13, "Permission denied", "x.toml"))) == 9
-    assert capsys.readouterr().err == "tipforce: [Errno 13] Permission denied: 'x.toml'\n"
+@pytest.mark.parametrize(
+    ("error", "code", "text"),
+    [
+        (PermissionError(13, "Permission denied", "x.toml"), 9, "[Errno 13] Permission denied: 'x.toml'"),
+        (TipforceError("x"), 1, "x"),
+    ],
+)
+def test_an_error_is_one_line(
+    run_command: Run, error: Exception, code: int, text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command(raising(error)) == code
+    assert capsys.readouterr() == ("", f"tipforce: {text}\n")
 
 
 def test_a_fault_of_ours_keeps_its_traceback(run_command: Run) -> None:
@@ -177,16 +162,13 @@ def test_numbers_with_a_minus_are_values_not_flags(run_command: Run) -> None:
 @pytest.mark.parametrize(
     "name", ["calibrate", "dataset", "design", "firmware", "sdo", "lss", "config", "hand", "nmt", "export"]
 )
-def test_a_missing_action_is_one_line_with_all_of_them(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_action_is_one_line_with_all_of_them(name: str, tipforce: Tipforce) -> None:
     choice = command_parser(name).choice
     assert len(choice) >= 1
-    for words in ([], ["-q"]):
-        with pytest.raises(SystemExit) as caught:
-            main([name, *words])
-        assert caught.value.code == 2
-        out, err = capsys.readouterr()
+    for words in (name, f"{name} -q"):
+        code, out, err = tipforce(words)
+        assert (code, out) == (2, "")
         [line] = err.splitlines()
-        assert out == ""
         assert line.startswith(f"tipforce {name}: error: which ")
         assert line.endswith(f"? {', '.join(choice)}; see `tipforce {name} --help`")
 
@@ -232,32 +214,22 @@ def test_closed_streams_are_no_fault(tmp_path: Path) -> None:
 
 
 HEAVY_FOR_HELP = (*HEAVY_FOR_ALL, "matplotlib", "scipy", "pyarrow", "importlib.metadata")
-PATHS = [tuple(path.split()[1:]) for path in LINES]
 CODE = f"""\
 import contextlib, io, sys
 from tipforce_tools.cli.main import main
-for path in {PATHS!r}:
+for path in {list(LINES)!r}:
     text = io.StringIO()
     with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
-        main([*path, "--help"])
-    assert text.getvalue().startswith("usage: tipforce " + " ".join(path)), path
+        main([*path.split()[1:], "--help"])
+    assert text.getvalue().startswith("usage: " + path), path
     heavy = [name for name in {HEAVY_FOR_HELP!r} if name in sys.modules]
-    print(*path, "imports" if heavy else "", *heavy)
-    for name in heavy:
-        del sys.modules[name]
+    assert not heavy, (path, heavy)
 """
 
 
-@pytest.fixture(scope="module")
-def told() -> list[str]:
-    """A line for each command and action: what heavy its help imports."""
+def test_no_help_imports_anything_heavy() -> None:
     done = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 0, done.stderr
-    return [line.strip() for line in done.stdout.splitlines()]
-
-
-def test_no_help_imports_anything_heavy(told: list[str]) -> None:
-    assert told == [" ".join(path) for path in PATHS]
 
 
 @pytest.mark.parametrize(
@@ -332,12 +304,8 @@ def test_on_a_real_bus_a_person_is_asked(
     answer: str, done: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "stdin", Terminal(answer))
-    args = bus_arguments("-i", "socketcan", "-c", "can0")
-    if done:
-        bus_flags.confirm(args, "this persists")
-    else:
-        with pytest.raises(InputError, match="not done"):
-            bus_flags.confirm(args, "this persists")
+    with nullcontext() if done else pytest.raises(InputError, match="not done"):
+        bus_flags.confirm(bus_arguments("-i", "socketcan", "-c", "can0"), "this persists")
     assert capsys.readouterr() == ("", "this persists. Continue? [y/N] ")
 
 

@@ -15,6 +15,7 @@ from canopen_device.core.node import Device
 from host.bus_with_nodes import new_channel
 from sources.iio_tree import Tree
 from tipforce.dictionary.eds import eds_text
+from tipforce.fingertip.source import Source
 from tipforce.sources import iio_buffer, iio_sysfs
 from tipforce.sources.iio import IioSource
 from tipforce.sources.layout_file import layout_text, read_bridge, read_layout
@@ -102,7 +103,19 @@ def layout(folder: Path, text: str) -> Path:
     return path
 
 
+Started = Callable[..., tuple[Device, Source]]
 Refused = Callable[..., str]
+
+
+@pytest.fixture
+def started(devices: list[Device]) -> Started:
+    """Run a node with a layout and a source; the device and its gauges."""
+
+    def run(layout: object, source: str, *words: object) -> tuple[Device, Source]:
+        assert run_node("-q", "--layout", layout, "--source", source, *words) == 0
+        return devices[-1], source_of(devices[-1])
+
+    return run
 
 
 @pytest.fixture
@@ -120,11 +133,10 @@ def refused(devices: list[Device], capsys: pytest.CaptureFixture[str]) -> Refuse
 # Industrial I/O
 
 
-def test_scaling_follows_from_scale_offset_and_bridge(tree: Tree, devices: list[Device]) -> None:
+def test_scaling_follows_from_scale_offset_and_bridge(tree: Tree, started: Started) -> None:
     tree.add(0, "spi0.0", {"voltage0": 0, "voltage1": 0, "voltage2": 0}, "ad7799", "be:u24/32>>8",
              in_voltage_scale="0.000298023223877", in_voltage1_offset="-8388608")  # fmt: skip
-    assert run_node("-q", "--layout", layout(tree.folder, BRIDGE), "--source", "iio:ad7799") == 0
-    (device,) = devices
+    device, source = started(layout(tree.folder, BRIDGE), "iio:ad7799")
     assert device.od.get(0x1018, 2) == 0x54500203, "24 bits, not simulated"
     per_microstrain = 100.0 * 2.0e-6 * 5.0 / 0.298023223877e-6  # gain * k * V, a full bridge, over volts per count
     zero = [2.5 / 0.298023223877e-6 + offset for offset in (0.0, 8388608.0, 0.0)]
@@ -132,7 +144,6 @@ def test_scaling_follows_from_scale_offset_and_bridge(tree: Tree, devices: list[
         assert device.od.get(0x6120, sub) == pytest.approx(zero[sub - 1], rel=1e-7)
         assert device.od.get(0x6122, sub) == pytest.approx(zero[sub - 1] + 1000 * per_microstrain, rel=1e-7)
         assert device.od.get(0x6123, sub) == 1000.0
-    source = source_of(device)
     assert isinstance(source, IioSource)
     assert (source.count_min, source.count_max) == (0, (1 << 24) - 1)
     device.step(0)
@@ -143,34 +154,25 @@ def test_scaling_follows_from_scale_offset_and_bridge(tree: Tree, devices: list[
     assert float(stated[1]) == pytest.approx(zero[1], rel=1e-7), "1021h says the same"
 
 
-def test_several_devices_channels_and_a_gain_each(tree: Tree, devices: list[Device]) -> None:
+def test_several_devices_channels_and_a_gain_each(tree: Tree, started: Started) -> None:
     tree.add(0, "0-0050", {"voltage0": 5, "voltage1": 6}, bits="le:s16/16>>0", in_voltage_scale="0.1")
     tree.add(1, "0-0051", {"voltage": 7}, bits="le:s16/16>>0", in_voltage_scale="0.2")
     text = BRIDGE.replace("gain = 100.0", "gain = [100.0, -100.0, 50.0]").replace("2.5", "0.0")
-    assert (
-        run_node(
-            "-q", "--layout", layout(tree.folder, text), "--source", "iio:device0/voltage1,iio:device0/voltage0,0-0051"
-        )
-        == 0
-    )
-    (device,) = devices
+    device, source = started(layout(tree.folder, text), "iio:device0/voltage1,iio:device0/voltage0,0-0051")
     assert device.od.get(0x1018, 2) == 0x54500003, "16 bits"
     assert [device.od.get(0x6122, sub) for sub in (1, 2, 3)] == pytest.approx([10_000, -10_000, 2500])
-    reading = source_of(device).read(0)
+    reading = source.read(0)
     assert reading is not None
     assert reading.counts == (6, 5, 7)
 
 
-def test_a_supply_that_is_measured(tree: Tree, devices: list[Device]) -> None:
+def test_a_supply_that_is_measured(tree: Tree, started: Started) -> None:
     path = tree.add(0, "a", {"voltage0": 5, "voltage1": 6, "voltage2": 7, "voltage3": 2500}, in_voltage_scale="1.0")
     text = BRIDGE + 'supply = "device0/voltage3"\nsupply_divider = 2.0\n'
-    words = ("--source", "iio:device0/voltage0,device0/voltage1,device0/voltage2")
-    assert run_node("-q", "--layout", layout(tree.folder, text), *words) == 0
-    source = source_of(devices[0])
+    _, source = started(layout(tree.folder, text), "iio:device0/voltage0,device0/voltage1,device0/voltage2")
+    assert isinstance(source, IioSource)
     for millivolts, faults in ((2500, 0), (2620, 0), (2630, 1 << 11), (2370, 1 << 11)):
         (path / "in_voltage3_raw").write_text(str(millivolts))
-        source = source_of(devices[0])
-        assert isinstance(source, IioSource)
         source._supply_us = -1_000_000
         source._conversion = -1
         reading = source.read(0)
@@ -179,13 +181,12 @@ def test_a_supply_that_is_measured(tree: Tree, devices: list[Device]) -> None:
 
 
 def test_without_a_scale_the_table_must_state_volts_per_count(
-    tree: Tree, devices: list[Device], monkeypatch: pytest.MonkeyPatch, refused: Refused
+    tree: Tree, started: Started, monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
     tree.add(0, "a", {"voltage0": 1, "voltage1": 1, "voltage2": 1})
     path = layout(tree.folder, BRIDGE)
-    assert "device0/voltage0: the driver states no scale; state the converter's step" in refused(
-        path, "--source", "iio:a"
-    )
+    said = refused(path, "--source", "iio:a")
+    assert "device0/voltage0: the driver states no scale; state the converter's step" in said
 
     def refuse(_path: Path, _channel: str, name: str) -> float | None:
         if name == "scale":
@@ -197,8 +198,7 @@ def test_without_a_scale_the_table_must_state_volts_per_count(
     assert "does not state its scale (Invalid argument: no regulator)" in said
     assert "[bridge] volts_per_count" in said
     path.write_text(BRIDGE + "volts_per_count = 0.001\n")
-    assert run_node("-q", "--layout", path, "--source", "iio:a") == 0
-    assert devices[0].od.get(0x6122, 1) == 2500 + 1000
+    assert started(path, "iio:a")[0].od.get(0x6122, 1) == 2500 + 1000
 
 
 @pytest.mark.parametrize(("words", "text", "message"), WRONG)
@@ -210,14 +210,13 @@ def test_what_does_not_fit_is_said(tree: Tree, refused: Refused, words: str, tex
     assert message in refused(layout(tree.folder, text), "--source", words)
 
 
-def test_capture_by_a_trigger_that_is_not_there(tree: Tree, devices: list[Device], refused: Refused) -> None:
+def test_capture_by_a_trigger_that_is_not_there(tree: Tree, started: Started, refused: Refused) -> None:
     tree.add(0, "a", {"voltage0": 1, "voltage1": 1, "voltage2": 1}, in_voltage_scale="1")
     path = layout(tree.folder, BRIDGE)
     assert "--trigger t0: no such trigger; there are none" in refused(path, "--source", "iio:a", "--trigger", "t0")
     assert "modprobe iio-trig-hrtimer" in refused(path, "--source", "iio:a", "--capture", "buffer")
     tree.add_trigger(0, "adc-dev0")
-    assert run_node("-q", "--layout", path, "--source", "iio:a") == 0, "a trigger, but no buffer: polled, and said"
-    assert source_of(devices[0]).read(0) is not None
+    assert started(path, "iio:a")[1].read(0) is not None, "a trigger, but no buffer: polled, and said"
     assert "buffered capture cannot be set up" in refused(path, "--source", "iio:a", "--capture", "buffer")
 
 
@@ -234,7 +233,7 @@ class _Attribute:
 
 
 def test_a_remote_board_by_a_stand_in_for_pylibiio(
-    tree: Tree, devices: list[Device], monkeypatch: pytest.MonkeyPatch, refused: Refused
+    tree: Tree, started: Started, monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
     """pylibiio itself needs libiio and a board with iiod: here its classes are played by a few lines."""
     up = [True]
@@ -267,14 +266,13 @@ def test_a_remote_board_by_a_stand_in_for_pylibiio(
     assert "pip install 'tipforce[iio]'" in refused(path, "--source", "iio:ip:board/adc")
     monkeypatch.setitem(sys.modules, "iio", types.SimpleNamespace(Context=Context))
     assert "no such device; allowed: adc" in refused(path, "--source", "iio:ip:board/dac")
-    assert run_node("-q", "--layout", path, "--source", "iio:ip:board/adc") == 0
-    source = source_of(devices[0])
+    device, source = started(path, "iio:ip:board/adc")
     assert isinstance(source, IioSource)
     source.parts[0].reopen()  # the node closed it when it ended
     reading = source.read(1_000_000)
     assert reading is not None
     assert reading == ((0, 10, 20), 0, 2500)
-    assert devices[0].od.get(0x6120, 1) == 5000 + 3
+    assert device.od.get(0x6120, 1) == 5000 + 3
     board.channels[1].attrs["raw"] = type("Gone", (), {"value": property(_gone)})()
     assert (source.read(1_001_000), source.faults) == (None, 1 << 8)
     up[0] = False
@@ -292,6 +290,11 @@ def test_a_remote_board_by_a_stand_in_for_pylibiio(
 
 def _gone(_self: object) -> str:
     raise OSError(errno.ETIMEDOUT, "Connection timed out")
+
+
+def counts(source: Source, *times_us: int) -> list[tuple[int, ...] | None]:
+    readings = [source.read(now_us) for now_us in times_us]
+    return [None if reading is None else tuple(reading.counts) for reading in readings]
 
 
 # tipforce doctor
@@ -331,27 +334,20 @@ def test_doctor_without_converters(tree: Tree, monkeypatch: pytest.MonkeyPatch) 
     assert check.state == "note"
 
 
-def test_a_recording_in_csv(tmp_path: Path, devices: list[Device]) -> None:
+def test_a_recording_in_csv(tmp_path: Path, started: Started) -> None:
     path = tmp_path / "session.csv"
     with path.open("w", newline="") as file:
         csv.writer(file).writerows([["t_s", "SG1", "SG2", "SG3", "P_N"], [1, 1.04, -2, 3, 0], [1.5, 4, 5, 9999, 0]])
-    assert run_node("-q", "--layout", "I", "--source", f"replay:{path}", "--speed", "2", "--loop") == 0
-    source = source_of(devices[0])
+    _, source = started("I", f"replay:{path}", "--speed", "2", "--loop")
     assert isinstance(source, ReplaySource)
-    found = [source.read(now_us) for now_us in (0, 249_999, 250_000, 500_000)]
-    assert [None if one is None else one.counts for one in found] == [
-        (10, -20, 30),
-        None,
-        (40, 50, 32767),
-        (10, -20, 30),
-    ]
-    assert run_node("-q", "--layout", "I", "--source", f"replay:{path}", "--bits", "24") == 0
-    reading = source_of(devices[1]).read(0)
+    first = (10, -20, 30)
+    assert counts(source, 0, 249_999, 250_000, 500_000) == [first, None, (40, 50, 32767), first]
+    reading = started("I", f"replay:{path}", "--bits", "24")[1].read(0)
     assert reading is not None
     assert reading.counts == (2662, -5120, 7680)
 
 
-def test_a_recording_of_candump(tmp_path: Path, devices: list[Device], refused: Refused) -> None:
+def test_a_recording_of_candump(tmp_path: Path, started: Started, refused: Refused) -> None:
     path = tmp_path / "log.txt"
     lines = (
         "(1.000000) can0 185#0A00ECFF1E000201",  # 1.0, -2.0, 3.0 microstrain, calibrated
@@ -362,10 +358,8 @@ def test_a_recording_of_candump(tmp_path: Path, devices: list[Device], refused: 
     )
     path.write_text("\n".join(lines) + "\n")
     assert f"contains gauges of the nodes 5, 6; choose one: {path}@5" in refused("I", "--source", f"replay:{path}")
-    assert run_node("-q", "--layout", "I", "--source", f"replay:{path}@5") == 0
-    source = source_of(devices[0])
-    found = [source.read(now_us) for now_us in (0, 1500, 3500)]
-    assert [None if one is None else one.counts for one in found] == [(10, -20, 30), None, (32767, -32768, 5)]
+    _, source = started("I", f"replay:{path}@5")
+    assert counts(source, 0, 1500, 3500) == [(10, -20, 30), None, (32767, -32768, 5)]
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from tipforce.scene import beam_calibration
 from tipforce.sensor.calibration.simulation import simulate
 from tipforce_tools.cli.main import COMMANDS, main
 from tools.blocks import CONTACTS_LOG
-from tools.rig import write_readings
+from tools.rig import Printed, Tipforce, write_readings
 from tools.test_log import counting
 
 SCENE = """
@@ -106,7 +106,7 @@ def files(folder: Path) -> dict[str, bytes]:
 @pytest.mark.parametrize(("command", "name", "old"), WRITES, ids=[f"{c.split()[0]}-{n}" for c, n, _ in WRITES])
 def test_a_failed_write_leaves_the_old_file(
     command: str, name: str, old: bytes, inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    tipforce: Tipforce,
 ) -> None:  # fmt: skip
     for path in inputs.iterdir():
         (tmp_path / path.name).symlink_to(path)
@@ -116,8 +116,7 @@ def test_a_failed_write_leaves_the_old_file(
     before = files(tmp_path)
     channel = new_channel()
     with connected(finger(5), channel=channel), full_disk():
-        code = main(command.format(bus=f"-i virtual -c {channel}").split())
-    err = capsys.readouterr().err
+        code, _, err = tipforce(command.format(bus=f"-i virtual -c {channel}"))
     assert (code, files(tmp_path)) == (1, before), err
     last = err.splitlines()[-1]
     assert Path(name).name in last or name.split("/", maxsplit=1)[0] in last
@@ -126,32 +125,28 @@ def test_a_failed_write_leaves_the_old_file(
 
 
 def test_a_failed_write_leaves_the_dataset(
-    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, printed: Printed
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "other.log").write_text(CONTACTS_LOG.replace("(17", "(18"))
-    assert main(["decode", str(inputs / "run.log"), "-q", "-o", "parts/"]) == 0
+    printed(0, f"decode {inputs}/run.log -q -o parts/")
     before = files(tmp_path)
     with full_disk():
-        code = main(["decode", "other.log", "-q", "-o", "parts/"])
-    assert (code, files(tmp_path)) == (1, before)
-    assert "File too large" in capsys.readouterr().err
+        assert "File too large" in printed(1, "decode other.log -q -o parts/").err
+    assert files(tmp_path) == before
 
 
-def test_a_recording_that_replaces_another_is_kept_beside_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recording_that_replaces_another_is_kept_beside_it(tmp_path: Path, printed: Printed) -> None:
     path = tmp_path / "run.log"
     path.write_text(CONTACTS_LOG)
-    words = ["log", "-i", "virtual", "outputs1", "-o", str(path), "--overwrite", "-q"]
+    words = f"log -i virtual outputs1 -o {path} --overwrite -q"
     with counting("outputs1"), full_disk(2000):
-        assert main(words) == 1
-    assert "File too large; the frames so far are in" in capsys.readouterr().err
+        assert "File too large; the frames so far are in" in printed(1, words).err
     assert path.read_text() == CONTACTS_LOG
     (beside,) = set(tmp_path.iterdir()) - {path}
     assert beside.stat().st_size == 2000
     with counting("outputs1"):
-        assert main([*words, "-n", "3"]) == 0
+        printed(0, f"{words} -n 3")
     assert len(path.read_text().splitlines()) == 3
 
 

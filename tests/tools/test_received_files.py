@@ -24,6 +24,7 @@ from tipforce.scene import beam_calibration
 from tipforce.sources.simulated import SimulatedSource
 from tipforce_tools.cli.main import main
 from tools.decode.logs import decode, log_lines, write_log
+from tools.rig import Printed
 
 MARK = "5EC4E7"
 """Stands in every file outside; no output may have it."""
@@ -39,7 +40,6 @@ NAMES = [
 """Names in files; with the suffix of their kind where they end in x or link."""
 
 Act = Callable[[], object]
-BUS = ["-i", "virtual", "-c", "earlier"]
 
 
 @pytest.fixture
@@ -62,8 +62,8 @@ def received(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def tree(root: Path, left_out: Path) -> dict[str, bytes]:
-    """The content of every file below a folder, without one folder."""
-    found: dict[str, bytes] = {}
+    """The content of every file below a folder, without one folder; or of one file."""
+    found: dict[str, bytes] = {"": root.read_bytes()} if root.is_file() else {}
     for place, folders, files in os.walk(root):
         folders[:] = [name for name in folders if Path(place, name) != left_out]
         found |= {str(Path(place, name)): b"" for name in folders}
@@ -233,8 +233,11 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def manifest_file(data: Path) -> Path:
-    return max((data / "_tipforce").glob("manifest-*.json"))
+@pytest.fixture
+def data(received: Path, dataset: Path) -> Path:
+    """A copy of the dataset in the received folder, beside its log."""
+    shutil.copy(dataset / "run.log", received / "run.log")
+    return Path(shutil.copytree(dataset / "data", received / "data"))
 
 
 def use(data: Path, capfd: pytest.CaptureFixture[str]) -> set[int]:
@@ -267,36 +270,30 @@ NOT_PATHS = ("id of a part", "name of a log", "name of a column")
 
 @pytest.mark.parametrize("field", FIELDS)
 def test_a_manifest_names_no_file_outside(
-    received: Path, dataset: Path, field: str, capfd: pytest.CaptureFixture[str]
+    received: Path, dataset: Path, data: Path, field: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     own = "rows/hand=x/date=2026-05-17/node=1/"
     hostile = [*NAMES, "../keep.txt", own + "../../../../../keep.txt", own + "link.parquet", "_tipforce", "a/x", "*"]
     for name in hostile[:3] if field in NOT_PATHS else hostile:
-        shutil.rmtree(received / "data", ignore_errors=True)
-        shutil.copytree(dataset / "data", received / "data")
+        shutil.rmtree(data)
+        shutil.copytree(dataset / "data", data)
         shutil.copy(dataset / "run.log", received / "run.log")
-        manifest = json.loads(manifest_file(received / "data").read_text())
+        file = max((data / "_tipforce").glob("manifest-*.json"))
+        manifest = json.loads(file.read_text())
         FIELDS[field](manifest, named(name, ".parquet", received))
-        manifest_file(received / "data").write_text(json.dumps(manifest))
-        before = tree(received, received / "outside")
-        codes = use(received / "data", capfd) if field in NOT_PATHS else used_and_refused(received, capfd)
-        assert codes <= {0, 1, 2}
-        if field not in NOT_PATHS:
-            after = tree(received, received / "outside")
-            assert {path: after.get(path) for path in before if "run.log" not in path} == {
-                path: content for path, content in before.items() if "run.log" not in path
-            }
-
-
-def used_and_refused(received: Path, capfd: pytest.CaptureFixture[str]) -> set[int]:
-    assert main(["dataset", "show", "data"]) == 2
-    lines = capfd.readouterr().err.splitlines()
-    assert len(lines) == 1
-    assert "data/_tipforce/manifest-" in lines[0]
-    assert "of a dataset, at `$." in lines[0]
-    codes = use(received / "data", capfd)
-    assert codes == {2}
-    return codes
+        file.write_text(json.dumps(manifest))
+        if field in NOT_PATHS:
+            assert use(data, capfd) <= {0, 1, 2}
+            continue
+        before = tree(received, received.parent)
+        del before[str(received / "run.log")]  # which use() continues
+        assert main(["dataset", "show", "data"]) == 2
+        [line] = capfd.readouterr().err.splitlines()
+        assert "data/_tipforce/manifest-" in line
+        assert "of a dataset, at `$." in line
+        assert use(data, capfd) == {2}
+        after = tree(received, received.parent)
+        assert {path: after.get(path) for path in before} == before
 
 
 @pytest.mark.parametrize(
@@ -305,12 +302,10 @@ def used_and_refused(received: Path, capfd: pytest.CaptureFixture[str]) -> set[i
      "_tipforce", "_tipforce/manifest-*"],
 )  # fmt: skip
 def test_links_in_a_dataset_are_refused(
-    received: Path, dataset: Path, place: str, capfd: pytest.CaptureFixture[str]
+    received: Path, data: Path, place: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """A dataset that is a link itself was named by the user; below it none is followed, be it in the dataset or not."""
-    data, elsewhere = received / "data", received.parent / "elsewhere"
-    shutil.copytree(dataset / "data", data)
-    shutil.copy(dataset / "run.log", received / "run.log")
+    elsewhere = received.parent / "elsewhere"
     path = max(data.glob(place)) if place else data
     shutil.move(path, elsewhere)
     path.symlink_to(elsewhere)
@@ -318,21 +313,18 @@ def test_links_in_a_dataset_are_refused(
         assert use(data, capfd) == {0}
         shutil.rmtree(elsewhere)
         return
-    before = tree(elsewhere, received) if elsewhere.is_dir() else {"": elsewhere.read_bytes()}
+    before = tree(elsewhere, received)
     codes = use(data, capfd)  # what does not need the file may succeed
     assert 2 in codes
     assert codes <= {0, 2}
-    assert (tree(elsewhere, received) if elsewhere.is_dir() else {"": elsewhere.read_bytes()}) == before
+    assert tree(elsewhere, received) == before
     shutil.rmtree(elsewhere) if elsewhere.is_dir() else elsewhere.unlink()
 
 
 @pytest.mark.parametrize("mark", ["...run", "*.run", "..run", "[0-9a-f].run", "link.run", "0123456789ab.run"])
 def test_marks_of_runs_remove_nothing_but_what_a_run_wrote(
-    received: Path, dataset: Path, mark: str, capfd: pytest.CaptureFixture[str]
+    received: Path, data: Path, mark: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    data = received / "data"
-    shutil.copytree(dataset / "data", data)
-    shutil.copy(dataset / "run.log", received / "run.log")
     kept = [data / "rows/hand=vcan0/own-x.parquet", data / "rows/hand=vcan0/date=2023-11-14/node=1/own-*.parquet"]
     for path in kept:
         path.write_text("kept")
@@ -371,21 +363,18 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("decode run.log -o data/", 2, "`tipforce decode LOGS -o NEW/` writes its logs again"),
     ],
 )
-def test_a_command_takes_them(line: str, code: int, said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(line.split()) == code
-    printed = capsys.readouterr()
-    assert said in printed.out + printed.err
+def test_a_command_takes_them(line: str, code: int, said: str, printed: Printed) -> None:
+    assert said in "".join(printed(code, line))
 
 
 @pytest.mark.usefixtures("folder")
-def test_an_mcap_is_its_log(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_mcap_is_its_log(printed: Printed) -> None:
     texts = []
     for name in ("run.log", "run.mcap"):
-        assert main(["decode", name, "-q", "-o", "out.csv"]) == 0
+        printed(0, f"decode {name} -q -o out.csv")
         texts.append(Path("out.csv").read_text())
     assert texts[0] == texts[1]
-    assert main(["decode", "run.mcap", "--summary", "--json", "-q"]) == 0
-    assert json.loads(capsys.readouterr().out)["samples"] == 50
+    assert printed(0, "decode run.mcap --summary --json -q").records[0]["samples"] == 50
 
 
 def test_a_node_and_a_machine_start_with_their_stores(folder: Path) -> None:
@@ -399,11 +388,9 @@ def test_a_node_and_a_machine_start_with_their_stores(folder: Path) -> None:
 
 
 @pytest.mark.usefixtures("folder")
-def test_settings_are_applied_to_a_node(capsys: pytest.CaptureFixture[str]) -> None:
+def test_settings_are_applied_to_a_node(printed: Printed) -> None:
     with tipforce.simulated_hand([5], interface="virtual", channel="earlier") as bus:
-        assert main(["config", "apply", "5", "kept.toml", "-y", *BUS]) == 0
-        assert main(["config", "verify", "5", "kept.toml", *BUS]) == 0
+        for words in ("config apply 5 kept.toml -y", "config verify 5 kept.toml",
+                      "calibrate apply cal.toml --node 5 -y", "calibrate verify cal.toml --node 5"):  # fmt: skip
+            assert "Traceback" not in printed(0, f"{words} -i virtual -c earlier").err
         assert bus.finger(5).sdo.read(od.HEARTBEAT_PRODUCER_MS) == 250
-        assert main(["calibrate", "apply", "cal.toml", "--node", "5", "-y", *BUS]) == 0
-        assert main(["calibrate", "verify", "cal.toml", "--node", "5", *BUS]) == 0
-    assert "Traceback" not in capsys.readouterr().err

@@ -21,7 +21,7 @@ from host.bus_with_nodes import new_channel
 from tipforce.scene.delivered import beam_calibration, commit_calibration, download
 from tipforce_tools.cli import service
 from tipforce_tools.cli.listening import StopSignals
-from tipforce_tools.cli.main import main
+from tipforce_tools.cli.main import command_parser
 from tools.rig import Printed, run_node
 
 SYNC, RESET_NODE = (0x80, b""), (0x000, b"\x81\5")
@@ -117,7 +117,6 @@ def test_the_node_tells_systemd_that_it_is_ready_alive_and_stopping(
     manager: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("WATCHDOG_USEC", "2000")
-    from canopen_device.running import loop
 
     def run(_devices: object, _port: object, stop: object) -> None:
         assert callable(stop)
@@ -125,9 +124,9 @@ def test_the_node_tells_systemd_that_it_is_ready_alive_and_stopping(
         os.kill(os.getpid(), signal.SIGTERM)
         assert stop() is True
 
-    monkeypatch.setattr(loop, "run", run)
+    monkeypatch.setattr("canopen_device.running.loop.run", run)
     before = signal.getsignal(signal.SIGTERM)
-    assert main(["node", "--node-id", "5", "-i", "virtual", "-c", new_channel(), "-q"]) == 0
+    assert run_node("-q") == 0
     assert signal.getsignal(signal.SIGTERM) is before
     told = [manager.recv(1000).decode() for _ in range(3)]
     assert told[0].startswith("READY=1\nSTATUS=node 5 (0x05): layout I, ")
@@ -135,29 +134,19 @@ def test_the_node_tells_systemd_that_it_is_ready_alive_and_stopping(
     assert told[2] == "STOPPING=1\nSTATUS=node 5 (0x05) stopped"
 
 
-def test_the_watchdog_is_fed_at_half_its_time(manager: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("WATCHDOG_USEC", "2000000")
+@pytest.mark.parametrize(("usec", "pid", "fed"), [("2000000", "", 5), ("", "", 0), ("x", "", 0), ("1000", "1", 0)])
+def test_the_watchdog_is_fed_at_half_its_time_if_there_is_one(
+    manager: socket.socket, monkeypatch: pytest.MonkeyPatch, usec: str, pid: str, fed: int
+) -> None:
+    monkeypatch.setenv("WATCHDOG_USEC", usec)
+    if pid:
+        monkeypatch.setenv("WATCHDOG_PID", pid)
     now = [0]
     notifier = service.Notifier(lambda: now[0])
     for now[0] in range(0, 5_000_000, 100_000):
         notifier.alive()
     manager.setblocking(False)
-    assert [manager.recv(100) for _ in range(5)] == [b"WATCHDOG=1"] * 5
-    with pytest.raises(BlockingIOError):
-        manager.recv(100)
-    notifier.close()
-
-
-@pytest.mark.parametrize(("usec", "pid"), [("", ""), ("x", ""), ("1000", "1")])
-def test_without_a_watchdog_nothing_is_fed(
-    manager: socket.socket, monkeypatch: pytest.MonkeyPatch, usec: str, pid: str
-) -> None:
-    monkeypatch.setenv("WATCHDOG_USEC", usec)
-    if pid:
-        monkeypatch.setenv("WATCHDOG_PID", pid)
-    notifier = service.Notifier()
-    notifier.alive()
-    manager.setblocking(False)
+    assert [manager.recv(100) for _ in range(fed)] == [b"WATCHDOG=1"] * fed
     with pytest.raises(BlockingIOError):
         manager.recv(100)
     notifier.close()
@@ -184,15 +173,12 @@ def test_priority_is_set_or_its_refusal_says_what_to_do(monkeypatch: pytest.Monk
     service.set_priority(80)
     assert asked == [80]
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
-    words = ["node", "--node-id", "5", "-i", "virtual", "-c", new_channel()]
-    assert "LimitRTPRIO=80" in printed(9, [*words, "--priority", "80"]).err
-    assert "allowed are 1 to 99" in printed(2, [*words, "--priority", "100"]).err
+    for code, priority, said in ((9, 80, "LimitRTPRIO=80"), (2, 100, "allowed are 1 to 99")):
+        assert said in printed(code, f"node --node-id 5 -i virtual -c {new_channel()} --priority {priority}").err
 
 
 @pytest.mark.parametrize("number", [errno.EPERM, errno.ENOMEM])
-def test_memory_that_may_not_be_locked(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], number: int
-) -> None:
+def test_memory_that_may_not_be_locked(monkeypatch: pytest.MonkeyPatch, printed: Printed, number: int) -> None:
     class Library:
         def mlockall(self, flags: int) -> int:
             assert flags == 3
@@ -200,8 +186,8 @@ def test_memory_that_may_not_be_locked(
             return -1
 
     monkeypatch.setattr(ctypes, "CDLL", lambda *_args, **_names: Library())
-    assert main(["node", "--node-id", "5", "-i", "virtual", "-c", new_channel(), "--lock-memory"]) == 9
-    assert "LimitMEMLOCK=infinity" in capsys.readouterr().err
+    err = printed(9, f"node --node-id 5 -i virtual -c {new_channel()} --lock-memory").err
+    assert "LimitMEMLOCK=infinity" in err
 
 
 def test_a_second_ctrl_c_interrupts_and_a_second_sigterm_does_not() -> None:
@@ -241,15 +227,7 @@ def test_the_unit_starts_a_command_line_that_the_node_takes() -> None:
     assert (lines["Type"], lines["Restart"], lines["KillSignal"]) == ("notify", "always", "SIGTERM")
     assert lines["After"] == "network.target"
     assert int(lines["WatchdogSec"]) >= 1
-    words = lines["ExecStart"].replace("%i", "5").split()
-    at = words.index("tipforce")
-    assert words[at + 1] == "node"
-    import argparse
-
-    from tipforce_tools import node
-
-    parser = argparse.ArgumentParser()
-    node.add_node_arguments(parser)
-    args = parser.parse_args([word for word in words[at + 2 :] if not word.startswith("$")])
+    words = lines["ExecStart"].replace("%i", "5").partition(" tipforce node ")[2].split()
+    args = command_parser("node").parse_args([word for word in words if not word.startswith("$")])
     assert (args.node_id, args.store, args.lock_memory) == (5, "/var/lib/tipforce/node-5.json", True)
     assert lines["LimitRTPRIO"] == str(args.priority)

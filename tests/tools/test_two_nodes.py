@@ -21,8 +21,7 @@ from tipforce.host.logs.reader import open_log
 from tipforce.watching.bus_monitor import BusMonitor
 from tipforce.watching.findings import Observed, findings
 from tipforce.watching.watcher import Finger, Watcher
-from tipforce_tools.cli.main import main
-from tools.rig import Printed
+from tools.rig import Printed, Tipforce
 
 SAID = "two nodes respond as node 5"
 SPEAKING = (
@@ -53,21 +52,20 @@ def bus(request: pytest.FixtureRequest) -> Iterator[tuple[str, int]]:
 
 @pytest.mark.parametrize("line", SPEAKING)
 def test_a_command_that_speaks_to_the_node_says_it(
-    line: str, bus: tuple[str, int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    line: str, bus: tuple[str, int], tmp_path: Path, tipforce: Tipforce
 ) -> None:
     write_calibration(tmp_path / "cal.toml", beam_calibration())
     (tmp_path / "settings.toml").write_text('[objects]\n"heartbeat.producer_ms" = 500\n')
     channel, serial = bus
-    words = line.replace("FOLDER", str(tmp_path)).split()
-    code = main([*words, "-i", "virtual", "-c", channel])
-    out, err = capsys.readouterr()
+    ended = tipforce(f"{line.replace('FOLDER', str(tmp_path))} -i virtual -c {channel}")
+    code, _, err = ended
     assert (code, err.count(SAID), "Traceback" in err) == (1, 1, False), err
     if serial == 1006:
         assert "(serial numbers 1005, 1006): give one of them another node-id: `tipforce lss assign ID" in err
     else:
         assert "(serial number 1005): power only one, and give it another node-id" in err
-    if "--json" in words:
-        assert json.loads(out)["duplicate"].startswith(SAID)
+    if "--json" in line:
+        assert ended.records[0]["duplicate"].startswith(SAID)
 
 
 def test_the_remedy_that_is_named_helps(tmp_path: Path, printed: Printed) -> None:
@@ -135,11 +133,10 @@ def test_doctor_the_page_and_a_hand_say_it_of_frames(service: str, tmp_path: Pat
 
 
 def test_monitor_sees_the_samples_of_two_nodes() -> None:
-    channel = new_channel()
+    channel, monitor = new_channel(), BusMonitor()
     with connected(node(1005), node(1006), channel=channel) as (connection, _):
         connection.nmt("start", 5)
         connection.buffer.clear()
-        monitor = BusMonitor()
         for _ in range(40):
             connection.sync()
             time.sleep(0.005)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tipforce_tools.cli.main import main
+from tools.rig import Printed
 
 WALK = Path(__file__).with_name("multicast_walk.py")
 ROUTE = "ip link set lo up && ip route add 239.0.0.0/8 dev lo && "
@@ -90,8 +90,8 @@ def test_doctor_opens_it() -> None:
     [("udp_multicast", "udp_multicast.utils.msgpack", "msgpack"), ("slcan", "slcan.serial", "pyserial")],
 )
 def test_a_missing_package_is_named(
-    interface: str, module: str, package: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    interface: str, module: str, package: str, monkeypatch: pytest.MonkeyPatch, printed: Printed
 ) -> None:
     monkeypatch.setattr(f"can.interfaces.{module}", None)
-    assert main(["scan", "-i", interface, "-c", "/dev/none"]) == 2
-    assert capsys.readouterr().err == f"tipforce: {interface} needs {package}: pip install {package}\n"
+    err = printed(2, f"scan -i {interface} -c /dev/none").err
+    assert err == f"tipforce: {interface} needs {package}: pip install {package}\n"

@@ -7,9 +7,10 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.resources import files
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -68,7 +69,7 @@ def test_the_place_follows_from_the_kernel(
 def test_host_forced_on_a_kernel_without_vcan_says_what_to_try(monkeypatch: pytest.MonkeyPatch) -> None:
     fake_kernel(monkeypatch)
     with pytest.raises(EnvironmentLackError, match=r"vcan0, vcan1 cannot be created.*modprobe vcan"):
-        host.choose(["vcan0", "vcan1"], "host")
+        vcan.run(parse("--host", "--", "true"))
 
 
 def test_the_namespace_command_makes_every_bus_before_it_runs_the_command(
@@ -108,13 +109,12 @@ def test_the_command_is_taken_word_for_word(
     assert asked == [("uml", expected)]
 
 
-class FakeStdin:
-    def __init__(self, terminal: bool) -> None:
-        self.isatty = lambda: terminal
+def stdin(*, terminal: bool) -> SimpleNamespace:
+    return SimpleNamespace(isatty=lambda: terminal)
 
 
 def test_no_command_is_a_usage_error_without_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=False))
+    monkeypatch.setattr(sys, "stdin", stdin(terminal=False))
     with pytest.raises(InputError, match=r"tipforce vcan -- COMMAND"):
         vcan.run(parse())
 
@@ -124,7 +124,7 @@ def test_no_command_is_a_shell_on_a_terminal(
     shell: str, expected: str, monkeypatch: pytest.MonkeyPatch, asked: list[tuple[str, list[str]]]
 ) -> None:
     fake_kernel(monkeypatch)
-    monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=True))
+    monkeypatch.setattr(sys, "stdin", stdin(terminal=True))
     monkeypatch.setenv("SHELL", shell)
     vcan.run(parse())
     assert asked == [("uml", [expected])]
@@ -143,7 +143,7 @@ def test_a_shell_is_told_where_it_is_and_what_becomes_of_its_files(
     flags: list[str], can_make: bool, expected: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fake_kernel(monkeypatch, can_make=can_make)
-    monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=True))
+    monkeypatch.setattr(sys, "stdin", stdin(terminal=True))
     vcan.run(parse(*flags))
     said = capsys.readouterr()
     assert expected in said.err
@@ -197,13 +197,13 @@ def test_a_program_that_the_system_refuses_is_126_or_127(tmp_path: Path, capfd: 
 def test_a_timeout_ends_the_command_and_says_so(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=False))
+    monkeypatch.setattr(sys, "stdin", stdin(terminal=False))
     assert host.run_here(python("import time; time.sleep(60)"), timeout_s=0.2) == 1
     assert "ended after 0.2 s (--timeout)" in capfd.readouterr().err
 
 
 def test_a_terminating_signal_is_130(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=False))
+    monkeypatch.setattr(sys, "stdin", stdin(terminal=False))
     timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGTERM))
     timer.start()
     try:
@@ -272,55 +272,67 @@ def test_the_environment_comes_through_the_file_unchanged(tmp_path: Path) -> Non
         uml.write_lists(tmp_path, command=["a\0b"])
 
 
-@needs_bash
-@pytest.mark.skipif(sys.platform != "linux", reason="linux.uml exists on Linux alone")
-class TestMachine:
-    """The part around the kernel, with a stand-in for linux.uml that behaves as it and init.sh do."""
+Boot = Callable[..., int]
 
-    @pytest.fixture
-    def machine(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> "Machine":
-        return Machine(tmp_path, monkeypatch)
 
-    def test_the_status_file_is_the_exit_code(self, machine: "Machine", capfd: pytest.CaptureFixture[str]) -> None:
-        machine.does("touch started; echo out >&$out; echo err >&$err; echo kernel; echo 42 >status; exit 7")
-        assert machine.run() == 42
-        assert capfd.readouterr() == ("out\n", "err\n")
+@pytest.fixture
+def boot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Boot:
+    """Run a command with a script in the place of linux.uml, which behaves as it and init.sh do. The script runs in the
+    folder that is otherwise shared with init.sh."""
+    if sys.platform != "linux" or shutil.which("bash") is None:
+        pytest.skip("linux.uml exists on Linux alone, and the script needs bash")
+    program = tmp_path / "linux.uml"
+    monkeypatch.setattr(uml, "find_program", lambda _name: str(program))
+    monkeypatch.setattr(uml, "require_parts", lambda: None)
+    monkeypatch.setattr(uml, "preloading", lambda _folder: {})
+    monkeypatch.setattr(sys, "stdin", stdin(terminal=False))
 
-    @pytest.mark.parametrize(
-        ("script", "said"),
-        [
-            ("echo Kernel panic; exit 1", r"ended before it had booted \(.*\n  Kernel panic"),
-            ("echo 'the interface x0 could not be made' >failed", "booted, but the interface x0 could not be made"),
-            ("touch started", r"before the command did .*--memory"),
-            ("sleep 60", "did not boot within"),
-        ],
-    )
-    def test_a_machine_that_fails_says_why(
-        self, script: str, said: str, machine: "Machine", monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(uml, "BOOT_LIMIT_S", 0.3 if script == "sleep 60" else 60.0)
-        machine.does(script)
-        with pytest.raises(EnvironmentLackError, match=said):
-            machine.run()
+    def run(script: str, timeout_s: float | None = None) -> int:
+        read_arguments = (
+            'for word; do case $word in init=*) cd "$(dirname "${word#init=}")";; '
+            "con1=*) out=${word##*:};; con2=*) err=${word##*:};; esac; done\n"
+        )
+        program.write_text(f"#!/bin/bash\n{read_arguments}{script}\n")
+        program.chmod(0o755)
+        return uml.run_in_uml(["true"], ["vcan0"], "64M", timeout_s, False)
 
-    def test_a_halt_that_hangs_does_not_hold_up_the_exit(
-        self, machine: "Machine", monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(uml, "HALT_LIMIT_S", 0.2)
-        machine.does("touch started; echo 5 >status; sleep 60")
-        assert machine.run() == 5
+    return run
 
-    def test_a_timeout_ends_the_whole_group(self, machine: "Machine", capfd: pytest.CaptureFixture[str]) -> None:
-        machine.does("touch started; sleep 60 & echo $! >&$out; sleep 60")
-        assert machine.run(timeout_s=0.5) == 1
-        printed = capfd.readouterr()
-        assert "ended after 0.5 s (--timeout)" in printed.err
-        assert ended(int(printed.out))
 
-    def test_a_terminating_signal_is_130(self, machine: "Machine", tmp_path: Path) -> None:
-        machine.does(f"touch started; echo $$ >{tmp_path}/pid; sleep 0.3; kill -TERM {os.getpid()}; sleep 60")
-        assert machine.run() == 130
-        assert ended(int((tmp_path / "pid").read_text()))
+def test_the_status_file_is_the_exit_code(boot: Boot, capfd: pytest.CaptureFixture[str]) -> None:
+    assert boot("touch started; echo out >&$out; echo err >&$err; echo kernel; echo 42 >status; exit 7") == 42
+    assert capfd.readouterr() == ("out\n", "err\n")
+
+
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [
+        ("echo Kernel panic; exit 1", r"ended before it had booted \(.*\n  Kernel panic"),
+        ("echo 'the interface x0 could not be made' >failed", "booted, but the interface x0 could not be made"),
+        ("touch started", r"before the command did .*--memory"),
+        ("sleep 60", "did not boot within"),
+    ],
+)
+def test_a_machine_that_fails_says_why(script: str, said: str, boot: Boot, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(uml, "BOOT_LIMIT_S", 0.3 if script == "sleep 60" else 60.0)
+    with pytest.raises(EnvironmentLackError, match=said):
+        boot(script)
+
+
+def test_a_halt_that_hangs_does_not_hold_up_the_exit(boot: Boot, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(uml, "HALT_LIMIT_S", 0.2)
+    assert boot("touch started; echo 5 >status; sleep 60") == 5
+
+
+def test_a_timeout_or_a_signal_ends_the_whole_group(
+    boot: Boot, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert boot("touch started; sleep 60 & echo $! >&$out; sleep 60", timeout_s=0.5) == 1
+    printed = capfd.readouterr()
+    assert "ended after 0.5 s (--timeout)" in printed.err
+    assert ended(int(printed.out))
+    assert boot(f"touch started; echo $$ >{tmp_path}/pid; sleep 0.3; kill -TERM {os.getpid()}; sleep 60") == 130
+    assert ended(int((tmp_path / "pid").read_text()))
 
 
 def ended(process: int) -> bool:
@@ -329,25 +341,3 @@ def ended(process: int) -> bool:
         return Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
     except (FileNotFoundError, ProcessLookupError):
         return True
-
-
-class Machine:
-    """Puts a script in the place of linux.uml; it runs in the folder that is otherwise shared with init.sh."""
-
-    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.program = folder / "linux.uml"
-        monkeypatch.setattr(uml, "find_program", lambda _name: str(self.program))
-        monkeypatch.setattr(uml, "require_parts", lambda: None)
-        monkeypatch.setattr(uml, "preloading", lambda _folder: {})
-        monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=False))
-
-    def does(self, script: str) -> None:
-        read_arguments = (
-            'for word; do case $word in init=*) cd "$(dirname "${word#init=}")";; '
-            "con1=*) out=${word##*:};; con2=*) err=${word##*:};; esac; done\n"
-        )
-        self.program.write_text(f"#!/bin/bash\n{read_arguments}{script}\n")
-        self.program.chmod(0o755)
-
-    def run(self, timeout_s: float | None = None) -> int:
-        return uml.run_in_uml(["true"], ["vcan0"], "64M", timeout_s, False)

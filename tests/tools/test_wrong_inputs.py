@@ -78,7 +78,7 @@ read 5 --wait 0 X | read 5 --wait nan X => %: '@': allowed is a time over 0 s
 export ros2 -o x => --hand:
 export ros2 --hand one.toml => --output:
 export c --programs -o x => the exported C has no program slots
-decode --from yesterday run.log => allowed are seconds from the start
+decode --from yesterday run.log | decode --from 0001-01-01 run.log => allowed are seconds from the start
 decode --gauges 9 run.log => --gauges
 decode --signals Q run.log => no message has the signal Q: allowed are
 decode --jobs 0 run.log => --jobs: '0': allowed are whole numbers from 1
@@ -244,6 +244,15 @@ config apply 5 none.toml NOBODY | config apply 5 none.dcf NOBODY => @: No such f
 config apply 5 empty.dcf NOBODY => @: no [section] in it
 config apply 5 minus.toml NOBODY => write $NODEID+0x180
 config save 5 NOBODY => which FILE?
+simulate x.eds --set foo X | simulate x.eds --set =4 X | simulate x.eds --set 5:=4 X => '@': the form is OBJECT=VALUE
+simulate x.eds --node-id 5 --set 7:0x1017=4 X => no node 7 here
+simulate x.eds --node-id 5,6 --set 0x1017=4 X => several nodes; write ID:OBJECT=VALUE
+simulate a b c --node-id 5,6 X => 2 for 3 files
+simulate x.eds --node-id 5,6 --store s.json X => one file belongs to one node
+simulate node.toml --node-id 5 X => a machine in TOML stands alone
+decode run.log --dbc tipforce --dcf empty.dcf => leave out --dcf and --ask
+decode run.log --signals , => expected names such as P,theta
+export xdd --programs --eds empty.dcf => leave one out
 calibrate verify absent.toml --node 5 X => calibration absent.toml: No such file or directory
 lss store X => add --serial N
 lss assign X => IDS missing
@@ -379,10 +388,7 @@ def test_one_line_the_next_step_and_the_exit_code(
 ) -> None:
     monkeypatch.chdir(folder)
     monkeypatch.setenv("HOME", str(folder / "taken"))
-    monkeypatch.setattr("can.util.CONFIG_FILES", [])
     monkeypatch.setattr("tipforce_tools.decode.workers.CONNECT_S", 1)
-    for name in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG"):
-        monkeypatch.delenv(name, raising=False)
     before = files(folder)
     channel = new_channel()
     with connected(*([finger(5)] if command.endswith(" BUS") else ()), channel=channel):

@@ -18,14 +18,12 @@ COLUMNS = ("line", "P_N", "phi_deg", "theta_deg", "u_P_N", "u_phi_deg", "u_theta
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce estimate`."""
-    parser.epilog = (
-        "GAUGES.csv: SG1..SGn in microstrain; optional t_s, temperature_degC, weight, and mode (push, pull, tare;\n"
-        "blank: the calibration's load sense). With tare rows (unloaded readings) the offsets are interpolated\n"
-        "between them, by t_s, or by row if there is no t_s; without tare rows the calibration's offsets apply. A bad\n"
-        "row gives an empty row whose status states the reason; docs/calibration.md explains each status.\n"
-        "  tipforce estimate finger.toml readings.csv -o contact.csv"
-    )
+    """GAUGES.csv: SG1..SGn in microstrain; optional t_s, temperature_degC, weight, and mode (push, pull, tare;
+    blank: the calibration's load sense). With tare rows (unloaded readings) the offsets are interpolated
+    between them, by t_s, or by row if there is no t_s; without tare rows the calibration's offsets apply. A bad
+    row gives an empty row whose status states the reason; docs/calibration.md explains each status.
+      tipforce estimate finger.toml readings.csv -o contact.csv
+    """
     parser.add_argument("calibration", type=common.InputFile("calibration "), metavar="CAL.toml")
     parser.add_argument("gauges", type=common.InputFile(), metavar="GAUGES.csv")
     parser.add_argument("-o", "--output", metavar="OUT", help="CSV file (default: stdout)")

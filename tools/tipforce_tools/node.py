@@ -21,14 +21,6 @@ if TYPE_CHECKING:
     from tipforce.sensor.structure.geometry import Geometry
     from tipforce.sensor.structure.strain import Gauge
 
-_NODE = """\
-examples:
-  tipforce node --node-id 5 -i socketcan -c vcan0 --layout I --load 4.4,90,45 --store node-5.json
-  tipforce node --node-id 5 -i socketcan -c can0 --layout finger.toml --source iio:device0/voltage0,0-0051,0-0052
-
-The node waits for NMT start (cansend vcan0 000#0105), unless 1F80h makes it start by itself. SIGTERM and Ctrl-C end
-it: its last frame is a heartbeat with the state STOPPED (7xx#04).
-"""
 
 _SIMULATE = """\
   tipforce simulate cia402 --node-id 5 -i socketcan -c vcan0          the drive that tipforce ships
@@ -43,8 +35,13 @@ KINDS = "sim, iio:DEVICE[,DEVICE...], replay:FILE"
 
 
 def add_node_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce node`."""
-    parser.epilog = _NODE
+    """examples:
+      tipforce node --node-id 5 -i socketcan -c vcan0 --layout I --load 4.4,90,45 --store node-5.json
+      tipforce node --node-id 5 -i socketcan -c can0 --layout finger.toml --source iio:device0/voltage0,0-0051,0-0052
+
+    The node waits for NMT start (cansend vcan0 000#0105), unless 1F80h makes it start by itself. SIGTERM and Ctrl-C end
+    it: its last frame is a heartbeat with the state STOPPED (7xx#04).
+    """
     parser.add_argument("--node-id", type=common.node_id, required=True, metavar="ID", help="1 to 127")
     parser.add_argument("--source", default="sim", metavar="SOURCE", help=f"{KINDS} (default %(default)s)")
     parser.add_argument("--layout", default="I", metavar="I|II|III|FILE", help="gauge layout (default %(default)s)")
@@ -55,17 +52,14 @@ def add_node_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--capture", choices=("auto", "poll", "buffer"), default="auto", help=what)
     group.add_argument("--trigger", metavar="NAME", help="default: the device's own, else a timer")
     rate = common.number_within(0.0, 100_000.0, "is above 0 up to 100000 Hz", over=True)
-    common.add_numbers(group, ("--scan-rate", 1000.0, "HZ", "of that timer (default 1000)", rate))
+    common.add_number(group, "--scan-rate", 1000.0, "HZ", "of that timer (default 1000)", rate)
     group = parser.add_argument_group("replayed source")
-    common.add_numbers(group, ("--speed", 1.0, "X", "times the recorded speed (default 1)", float))
+    common.add_number(group, "--speed", 1.0, "X", "times the recorded speed (default 1)", float)
     group.add_argument("--loop", action="store_true", help="repeat; otherwise no data at the end")
     group = parser.add_argument_group("simulated source")
     noise = common.number_within(0.0, 1e6, "is 0 to 1e+06 microstrain")
-    common.add_numbers(
-        group,
-        ("--noise", 0.5, "UE", "noise of each gauge, microstrain (default %(default)s)", noise),
-        ("--noise-1f", 0.0, "UE", "1/f noise: microstrain at 1 Hz (default none)", noise),
-    )
+    common.add_number(group, "--noise", 0.5, "UE", "noise of each gauge, microstrain (default %(default)s)", noise)
+    common.add_number(group, "--noise-1f", 0.0, "UE", "1/f noise: microstrain at 1 Hz (default none)", noise)
     group.add_argument("--bits", type=int, choices=(16, 24), default=16, help="of the converter (default %(default)s)")
     group.add_argument("--offset", default="", metavar="UE,UE,...", help="unloaded reading of each gauge, microstrain")
     group.add_argument("--load", default="0,0,0", metavar="P,PHI,THETA", help="newtons, degrees (default %(default)s)")
@@ -113,8 +107,9 @@ def _load(
     """Return what loads stored parameters: of a simulated finger as of a delivered one."""
     from tipforce.sources.simulated import SimulatedSource
 
+    stored_only = store.load if store else None
     if args.uncalibrated or not isinstance(source, SimulatedSource):
-        return store.load if store else None
+        return stored_only
     from tipforce.scene.delivered import CALIBRATION, LARGEST_NEWTONS, pulls, stored_calibration, structure_calibration
 
     try:
@@ -125,11 +120,11 @@ def _load(
         delivered = stored_calibration(calibration)
     except InputError as error:
         common.note(f"{common.shown_node(args.node_id)}: not calibrated: {error}")
-        return store.load if store else None
+        return stored_only
 
     def load(group: str) -> bytes | None:
         """Return what is stored; a restored default (1011h) is empty bytes, and no delivered calibration."""
-        stored = store.load(group) if store else None
+        stored = stored_only(group) if stored_only else None
         return delivered if stored is None and group == CALIBRATION else stored
 
     return load
@@ -164,10 +159,9 @@ def _simulated(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge
     offset = _numbers("--offset", args.offset, len(gauges)) if args.offset else [0.0] * len(gauges)
     if max(map(abs, offset)) > LARGEST_MICROSTRAIN:
         raise InputError(f"--offset {args.offset}: allowed is up to {LARGEST_MICROSTRAIN:g} microstrain")
+    ideal = args.bits == 16 and not args.noise_1f
+    front_end = None if ideal else FrontEnd(args.bits, one_over_f=args.noise_1f or None, seed=args.seed)
     rows = gauge_matrix(geometry, gauges).tolist()
-    front_end = None  # an ideal 16-bit converter
-    if args.bits != 16 or args.noise_1f:
-        front_end = FrontEnd(args.bits, one_over_f=args.noise_1f or None, seed=args.seed)
     source = SimulatedSource(rows, args.noise, offset, args.seed, front_end=front_end)
     source.load = (load[0], load[1], load[2])
     return source
@@ -215,17 +209,13 @@ def _devices(args: argparse.Namespace) -> list[SimulatedDevice]:
         if len(args.files) > 1 or args.node_id or args.values or args.application or args.store:
             raise InputError("a machine in TOML stands alone: its devices have their node-ids, values and applications")
         return read_machine(args.files[0])
-    files, ids = args.files, args.node_id
-    if ids is None:  # a DCF names its own
-        pairs: list[tuple[str, int | None]] = [(file, None) for file in files]
-    else:  # one file may have many node-ids
-        files = files * len(ids) if len(files) == 1 else files
-        if len(files) != len(ids):
-            raise InputError(f"--node-id: {len(ids)} for {len(files)} files; give one for each")
-        pairs = list(zip(files, ids, strict=True))
-    if args.store and len(pairs) > 1:
+    ids: list[int | None] = args.node_id or [None] * len(args.files)  # a DCF names its own
+    files = args.files * len(ids) if len(args.files) == 1 else args.files  # one file may have many node-ids
+    if len(files) != len(ids):
+        raise InputError(f"--node-id: {len(ids)} for {len(files)} files; give one for each")
+    if args.store and len(ids) > 1:
         raise InputError("--store: one file belongs to one node; use a TOML file for several")
-    values = _values(args.values, [node_id for _, node_id in pairs])
+    values, pairs = _values(args.values, ids), zip(files, ids, strict=True)
     made = [made_device(file, each, args.application, values.get(each), store=args.store) for file, each in pairs]
     check_node_ids(made)
     return made

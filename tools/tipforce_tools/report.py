@@ -71,7 +71,4 @@ def _print_list() -> None:
     rows.append((STABILITY, "cases", "all cases below"))
     rows += [(case.key, case.outcome, case.situation) for case in all_cases()]
     for key, kind, what in rows:
-        if common.OUTPUT.json:
-            common.print_json({"key": key, "kind": kind, "what": what})
-        else:
-            print(f"{key:36} {kind:8} {what}")
+        common.print_record({"key": key, "kind": kind, "what": what}, f"{key:36} {kind:8} {what}")

@@ -21,21 +21,19 @@ DESCRIPTION = """\
 Publish each fingertip's force and contact at each SYNC, and diagnostics once a second and at each event, as ROS 2
 topics on DDS. ROS need not be installed. Stamps are those of the SYNC.
 """
-EPILOG = """\
-topics, for a finger named thumb:
-  /tipforce/thumb/wrench    geometry_msgs/WrenchStamped, frame thumb_tip; none while the force is unknown
-  /tipforce/thumb/contact   tipforce_msgs/Contact: P, phi, theta, their uncertainties, status
-  /tipforce/thumb/info      tipforce_msgs/Fingertip, transient local
-  /tipforce/thumb/tare      std_msgs/Empty, with --allow-tare: takes the present force as zero
-  /diagnostics              diagnostic_msgs/DiagnosticArray
-A hand is commissioned, on a bus the command listens only, and a log is published with its recorded timing.
-ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY and CYCLONEDDS_URI apply.
-"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce ros2`."""
-    parser.description, parser.epilog = DESCRIPTION, EPILOG
+    """topics, for a finger named thumb:
+      /tipforce/thumb/wrench    geometry_msgs/WrenchStamped, frame thumb_tip; none while the force is unknown
+      /tipforce/thumb/contact   tipforce_msgs/Contact: P, phi, theta, their uncertainties, status
+      /tipforce/thumb/info      tipforce_msgs/Fingertip, transient local
+      /tipforce/thumb/tare      std_msgs/Empty, with --allow-tare: takes the present force as zero
+      /diagnostics              diagnostic_msgs/DiagnosticArray
+    A hand is commissioned, on a bus the command listens only, and a log is published with its recorded timing.
+    ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY and CYCLONEDDS_URI apply.
+    """
+    parser.description = DESCRIPTION
     what = "a hand file, or a log (default: listen to the bus)"
     parser.add_argument("source", nargs="?", type=common.InputFile(), metavar="HAND.toml|LOG", help=what)
     parser.add_argument("--namespace", default="/tipforce", metavar="NS", help="of the topics (default %(default)s)")
@@ -91,7 +89,7 @@ def _check(args: argparse.Namespace, is_hand: bool) -> None:
         raise InputError(f"--seconds {args.seconds:g}: allowed is a time over 0")
     if not args.speed > 0:
         raise InputError(f"--speed {args.speed:g}: allowed is more than 0, or inf")
-    check_sync(args.sync, None if args.no_bring_up else args.source)
+    check_sync(args, None if args.no_bring_up else args.source)
     if args.no_bring_up and not is_hand:
         raise InputError("--no-bring-up: needs a hand file")
     if args.allow_tare and (not is_hand or args.no_bring_up):

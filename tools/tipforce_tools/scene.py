@@ -17,12 +17,10 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce run`."""
-    parser.epilog = (
-        "Time is simulated, without a bus and without waiting, unless the scene has a [bus] or a bus flag is given.\n"
-        "Exit code 1: an expectation of the scene ([[expect]]) did not hold.\n"
-        "  tipforce run grasp --duration 60 -i socketcan -c vcan0"
-    )
+    """Time is simulated, without a bus and without waiting, unless the scene has a [bus] or a bus flag is given.
+    Exit code 1: an expectation of the scene ([[expect]]) did not hold.
+      tipforce run grasp --duration 60 -i socketcan -c vcan0
+    """
     parser.add_argument("scene", metavar="SCENE", help="a TOML file, or a shipped scene: grasp")
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scene's duration_s")
     parser.add_argument("--seed", type=common.whole_number, metavar="N", help="instead of the scene's seed")
@@ -74,12 +72,7 @@ def _print_fingers(title: str, outcome: Outcome) -> None:
     rows = []
     for finger in outcome.fingers:
         columns = (finger.applied_end, finger.estimated_end, finger.rms_error, finger.max_error)
-        values = [
-            "\n".join(
-                f"{value:.{digits}f}".replace("nan", "-") for value, digits in zip(triple, (3, 2, 2), strict=True)
-            )
-            for triple in columns
-        ]
+        values = ["{:.3f}\n{:.2f}\n{:.2f}".format(*triple).replace("nan", "-") for triple in columns]
         closed = {"slit closed: not linear": finger.slit_closed} if finger.slit_closed else {}
         counts = (
             "\n".join(f"{count} {name}" for name, count in named.items()) or "-"
@@ -134,7 +127,7 @@ def _print_outcome(outcome: Outcome) -> None:
 
 
 def _explain(path: Path, scene: Scene, name: str, with_cost: bool) -> int:
-    from tipforce.scene.registry import bus_load, identifiers, parts
+    from tipforce.scene.registry import Part, bus_load, identifiers, parts
 
     costs: dict[str, Any] = {}
     if with_cost:
@@ -146,17 +139,16 @@ def _explain(path: Path, scene: Scene, name: str, with_cost: bool) -> int:
             "part": part.name, "built": part.built, "why": part.why, "modules": list(part.modules),
             "on_demand": list(part.on_demand), **costs.get(part.name, {}),
         }
-        for part in parts(scene)
+        for part in (*parts(scene), *([Part("all", True, "")] if with_cost else ()))
     ]  # fmt: skip
-    if with_cost:
-        rows.append({"part": "all", "built": True, "why": "", "modules": [], "on_demand": [], **costs["all"]})
-    sent: list[dict[str, Any]] = []
-    for each in identifiers(scene):
-        least, most = (each.rate_hz * bits / scene.bit_rate for bits in each.bits)
-        sent.append(
-            {"cob_id": f"0x{each.can_id:03X}", "what": each.what, "rate_hz": each.rate_hz,
-             "data_bytes": each.data_bytes, "load": least, "load_at_most": most}
-        )  # fmt: skip
+    sent: list[dict[str, Any]] = [
+        {
+            "cob_id": f"0x{each.can_id:03X}", "what": each.what, "rate_hz": each.rate_hz, "data_bytes": each.data_bytes,
+            "load": each.rate_hz * each.bits[0] / scene.bit_rate,
+            "load_at_most": each.rate_hz * each.bits[1] / scene.bit_rate,
+        }
+        for each in identifiers(scene)
+    ]  # fmt: skip
     low, high = bus_load(scene)
     if common.OUTPUT.json:
         for record in [*rows, *sent, {"bit_rate": scene.bit_rate, "bus_load": low, "bus_load_at_most": high}]:

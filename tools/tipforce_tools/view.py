@@ -72,7 +72,7 @@ def _source(args: argparse.Namespace, path: Path | None) -> Source:
         raise InputError("--no-bring-up: needs a hand file")
     fallback = (args.layout, *read_layout(args.layout)) if args.layout else None
     maker = finger_maker(args.nodes, fallback)
-    check_sync(args.sync, None if args.no_bring_up else path)
+    check_sync(args, None if args.no_bring_up else path)
     if path is None or args.no_bring_up:
         feed, channel = listening(args, path, fallback)
         title = f"{path.name} on {channel}" if path else channel

@@ -153,6 +153,9 @@ def test_drift_and_floor() -> None:
     assert capture.covariance[2, 2] == pytest.approx(RESOLUTION_MICROSTRAIN**2 / 12)
     assert capture.duration_s == 2.0
     assert not Capture(np.ones((3, 3)), np.zeros(3), 3, (0, 0, 0), 0, 0, 0, 0, 0, None).drift.any()
+    of_the_epoch = 1.7e9 + np.cumsum([0.0, *[1e-3, 1.1e-3] * 5])
+    still = Capture(np.full((11, 3), 900.1), of_the_epoch, 11, (0, 0, 0), 0, 0, 0, 0, 0, None)
+    np.testing.assert_allclose(still.drift, 0.0, atol=1e-9)
 
 
 def test_a_node_that_goes_and_comes_back() -> None:

@@ -51,18 +51,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--uncalibrated", action="store_true", help="C from theory, without a calibration")
     load = common.number_within(1.0 / _MOST, _MOST, f"is {1.0 / _MOST:g} to {_MOST:g} N")
     angle = common.number_within(-360.0, 360.0, "are degrees from -360 to 360")
-    common.add_numbers(
-        parser,
-        ("--load", 4.4, "N", "P in newtons (default %(default)s)", load),
-        ("--phi", None, "DEG", "with --theta: one load instead of the pad", angle),
-    )
+    common.add_number(parser, "--load", 4.4, "N", "P in newtons (default %(default)s)", load)
+    common.add_number(parser, "--phi", None, "DEG", "with --theta: one load instead of the pad", angle)
     parser.add_argument("--theta", type=angle, metavar="DEG")
     parser.add_argument("--sense", choices=("push", "pull"), help="of the loads (default: that of the file, else push)")
     sizes = parser.add_argument_group("causes")
     cause = common.number_within(0.0, _MOST, f"is 0 to {_MOST:g}")
-    common.add_numbers(
-        sizes, *((flag, None, unit.replace("%", "PERCENT"), text, cause) for flag, unit, text, *_ in _FLAGS)
-    )
+    for flag, unit, text, *_ in _FLAGS:
+        common.add_number(sizes, flag, None, unit.replace("%", "PERCENT"), text, cause)
     parser.add_argument("-o", "--output", metavar="FILE", help="a plot, .png or .svg")
     common.add_output_arguments(parser)
 
@@ -83,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
         calibration = read_calibration(args.file)
     import numpy as np
 
-    from tipforce_lab.design.error_budget import Causes, Loads, budget, pad_loads
+    from tipforce_lab.design.error_budget import Causes, Loads, budget, pad_loads, plot
 
     sensor = _sensor(args, calibration)
     if args.phi is not None:
@@ -97,15 +93,8 @@ def run(args: argparse.Namespace) -> int:
     causes = Causes(**{field: value * unit for field, value, unit in given if value is not None})
     error_budget = budget(sensor, loads, causes)
     if args.output:
-        from tipforce_lab.design.error_budget import plot
-
         plot(error_budget, args.output)
-    records = _records(error_budget)
-    if common.OUTPUT.json:
-        for record in records:
-            common.print_json(record)
-    else:
-        _print_table(records, len(loads.P_newtons) == 1)
+    _print(_records(error_budget), len(loads.P_newtons) == 1)
     _say_limits(error_budget, causes, args.uncalibrated)
     return 0
 
@@ -159,18 +148,19 @@ def _records(error_budget: Budget) -> list[dict[str, object]]:
     return records
 
 
-def _print_table(records: list[dict[str, object]], single: bool) -> None:
+def _print(records: list[dict[str, object]], single: bool) -> None:
     widest = max(len(str(record["cause"])) for record in records)
     most = "" if single else f"{'max':>9}"
     heads = (f"{f'u({name}) {unit}':>14}{most}{'share':>8}" for name, unit, _ in _QUANTITIES)
-    print(f"{'cause':<{widest}}" + "".join(heads))
+    if not common.OUTPUT.json:
+        print(f"{'cause':<{widest}}" + "".join(heads))
     for record in records:
         line = f"{record['cause']:<{widest}}"
         for name, unit, _ in _QUANTITIES:
             key = f"u_{name}_{unit}"
             most = "" if single else f"{record[f'{key}_max']:>9.3g}"
             line += f"{record[key]:>14.4g}{most}{record[f'share_{name}_percent']:>7.1f}%"
-        print(line)
+        common.print_record(record, line)
 
 
 def _say_limits(error_budget: Budget, causes: Causes, uncalibrated: bool) -> None:

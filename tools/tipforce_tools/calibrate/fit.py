@@ -16,12 +16,10 @@ if TYPE_CHECKING:
 
 
 def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of fit."""
-    parser.epilog = (
-        "DATA.csv: SG1..SGn in microstrain, P_N, phi_deg, theta_deg; optional t_s, temperature_degC, weight (readings\n"
-        "that the row is the mean of) and mode (push, pull, tare). Rows with P_N = 0 are unloaded readings (tares).\n"
-        "  tipforce calibrate fit grooves.csv -o finger.toml --layout I --saturation 1000"
-    )
+    """DATA.csv: SG1..SGn in microstrain, P_N, phi_deg, theta_deg; optional t_s, temperature_degC, weight (readings
+    that the row is the mean of) and mode (push, pull, tare). Rows with P_N = 0 are unloaded readings (tares).
+      tipforce calibrate fit grooves.csv -o finger.toml --layout I --saturation 1000
+    """
     parser.add_argument("data", type=common.InputFile(), metavar="DATA.csv")
     parser.add_argument("-o", "--output", metavar="CAL.toml", help="calibration file to write")
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="where the gauges sit (for the file and the prior)")
@@ -53,20 +51,18 @@ def add_model_arguments(
     above_0 = common.number_within(0.0, common.MOST, "is above 0", over=True)
     about = f"standard deviation of a groove's phi and theta (default {default})"
     degrees = common.number_within(0.0, 20.0, "is 0 to 20 degrees")
-    common.add_numbers(group, ("--angle-scatter", scatter, "DEG", about, degrees))
+    common.add_number(group, "--angle-scatter", scatter, "DEG", about, degrees)
     group.add_argument("--drift", choices=("none", "tare", "linear"), help="of the offsets (default: best predictor)")
     group.add_argument(
         "--loss", choices=("huber", "soft-l1", "none"), default="huber",
         help="of rows that disagree (default %(default)s)",
     )  # fmt: skip
-    common.add_numbers(group, ("--noise", None, "UE", "gauge noise in microstrain (default: estimated)", above_0))
+    common.add_number(group, "--noise", None, "UE", "gauge noise in microstrain (default: estimated)", above_0)
     group.add_argument("--saturation", type=_limit, metavar="UE|none", help="converter limit, microstrain")
-    common.add_numbers(group, ("--yield-stress", None, "MPA", "for the overload force (with --layout)", above_0))
+    common.add_number(group, "--yield-stress", None, "MPA", "for the overload force (with --layout)", above_0)
     group.add_argument("--no-offset", action="store_true", help="readings are zero unloaded: fit no offset")
     group.add_argument("--prior", choices=("beam",), help="lean on beam theory; needs --layout")
-    common.add_numbers(
-        group, ("--prior-scatter", 0.1, "SHARE", "how far theory may be off (default %(default)s)", float)
-    )
+    common.add_number(group, "--prior-scatter", 0.1, "SHARE", "how far theory may be off (default %(default)s)", float)
 
 
 def run_fit(args: argparse.Namespace) -> int:
@@ -108,20 +104,17 @@ def _date(text: str) -> datetime.date:
 
 
 def add_apply_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of apply."""
-    parser.epilog = (
-        "The node checks the record by CRC-32. It is committed, read back, compared byte for byte, and stored. If the\n"
-        "node refuses (exit code 12), the previous calibration stays active.\n"
-        "  tipforce calibrate apply finger.toml --node 5 -i socketcan -c can0"
-    )
+    """The node checks the record by CRC-32. It is committed, read back, compared byte for byte, and stored. If the
+    node refuses (exit code 12), the previous calibration stays active.
+      tipforce calibrate apply finger.toml --node 5 -i socketcan -c can0
+    """
     parser.add_argument("--no-store", action="store_true", help="apply only until the next reset")
     common.add_confirm_argument(parser)
     _add_transfer(parser)
 
 
 def add_verify_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of verify."""
-    parser.epilog = "Exit code 1 if the node's active calibration differs from the file: a line for each difference."
+    """Exit code 1 if the node's active calibration differs from the file: a line for each difference."""
     _add_transfer(parser)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,7 +34,7 @@ def facts(path: str, result: Fitted) -> dict[str, object]:
     data, fit = result.data, result.fit
     left = sorted({row for row, _ in (*fit.saturated, *fit.near_limit)})
     return {
-        "data": str(path),
+        "data": path,
         "rows": len(data.line),
         "unloaded_rows": int(data.unloaded.sum()),
         "bad_lines": [row.line for row in data.bad],
@@ -43,55 +43,53 @@ def facts(path: str, result: Fitted) -> dict[str, object]:
     }
 
 
-def notes(result: Fitted) -> list[str]:
+def notes(result: Fitted) -> Iterator[str]:
     """What a person should look at before he trusts the fit."""
     request, data, _, fit, model, scores, calibration = result
-    lines = [f"column {name} is not used" for name in data.ignored_columns]
+    yield from (f"column {name} is not used" for name in data.ignored_columns)
     if len(scores) > 1:
         others = ", ".join(f"{name} {score:.1f}" for name, score in sorted(scores.items(), key=lambda pair: -pair[1]))
-        lines.append(f"drift {fit.drift}: predicts left-out rows best (hold-out score: {others})")
+        yield f"drift {fit.drift}: predicts left-out rows best (hold-out score: {others})"
     if fit.sigma0_loaded > 1.4 and (model.phi_scatter_rad or model.noise_strain is not None):
-        lines.append(
+        yield (
             f"loaded rows scatter {fit.sigma0_loaded:.2g} times what the model expects: loads or gauges are less "
             "certain than stated (--noise)"
         )
     stray = max(fit.groove_scatter, fit.hang_scatter)
     if stray > 2.0:
-        lines.append(f"load directions stray {stray:.1f} times as far as --angle-scatter says")
-    lines.extend(_of_validity(fit, calibration, request.layout))
+        yield f"load directions stray {stray:.1f} times as far as --angle-scatter says"
+    yield from _of_validity(fit, calibration, request.layout)
     if request.theory is not None:
         opposite = np.flatnonzero((request.theory * fit.A).sum(axis=1) < 0.0)
         text = f"its load response is opposite to beam theory for {request.layout}: is tension positive?"
-        lines.extend(f"SG{gauge + 1}: {text}" for gauge in opposite)
-    lines.extend(
+        yield from (f"SG{gauge + 1}: {text}" for gauge in opposite)
+    yield from (
         f"the fit follows the load of {load.P_newtons:g} N at phi {math.degrees(load.phi_rad):g}, theta "
         f"{math.degrees(load.theta_rad):g} whatever it reads (leverage {load.leverage:.2f})"
         for load in fit.loads
         if load.P_newtons > 0.0 and load.leverage > 0.9
     )
     if not data.unloaded.any() and model.offset:
-        lines.append("no unloaded readings: the offsets rest on the loads alone")
-    lines.append(
+        yield "no unloaded readings: the offsets rest on the loads alone"
+    yield (
         "a direction of gravity that is off by the same angle in all x- or all y-loads shows in no residual: "
         "1 degree costs about 1 % of P and 1 degree of phi or theta"
     )
-    return lines
 
 
-def warnings(result: Fitted) -> list[str]:
+def warnings(result: Fitted) -> Iterator[str]:
     """What speaks against the fit: with --strict no file is written."""
     fit = result.fit
-    lines = rejections(fit, result.readings)
+    yield from rejections(fit, result.readings)
     if not fit.converged:
-        lines.append("the fit has not converged: its numbers are those of the last step")
+        yield "the fit has not converged: its numbers are those of the last step"
     straight = fit.nonlinearity
     if straight is not None and straight.significant:
         terms = _per_gauge(0.1 * straight.per_strain, 0.1 * straight.half_width)
-        lines.append(
+        yield (
             f"the response is not straight: {'odd' if straight.odd else 'even'} quadratic terms in % per 1000 "
             f"microstrain: {terms}; the file states {straight.model_uncertainty:.2g} of the force as model uncertainty"
         )
-    return lines
 
 
 def _per_gauge(values: FloatArray, halves: FloatArray) -> str:
@@ -99,26 +97,24 @@ def _per_gauge(values: FloatArray, halves: FloatArray) -> str:
     return ", ".join(f"SG{k + 1} {value:+.2g} +- {half:.2g}" for k, (value, half) in enumerate(pairs))
 
 
-def _of_validity(fit: Fit, calibration: Calibration, layout: str | None) -> list[str]:
-    n, lines = fit.C.shape[1], []
+def _of_validity(fit: Fit, calibration: Calibration, layout: str | None) -> Iterator[str]:
+    n = fit.C.shape[1]
     if layout is None:
-        lines.append("without --layout the overload force is not known")
+        yield "without --layout the overload force is not known"
     elif not calibration.overload_force_newtons:
-        lines.append(
-            "the data have loads beyond what closes the slit of this structure: the overload force is left unknown"
-        )
+        yield "the data have loads beyond what closes the slit of this structure: the overload force is left unknown"
     if not calibration.converter_limit_strain.any():
-        lines.append("the converter's limit is not known (--saturation)")
+        yield "the converter's limit is not known (--saturation)"
     warm = fit.temperature
     if warm is None:
-        lines.append("no temperatures: what a warm finger reads is not known")
+        yield "no temperatures: what a warm finger reads is not known"
     elif not np.isfinite((*warm.offset_half_width, warm.gain_half_width)).any():
-        lines.append(f"all rows at {warm.lowest_degC:g} degC: what a warm finger reads is not known")
+        yield f"all rows at {warm.lowest_degC:g} degC: what a warm finger reads is not known"
     else:
         fitted = "" if warm.offset_fitted else ", not corrected"
         terms = _per_gauge(warm.offset_strain_per_K * UE, warm.offset_half_width * UE)
         gain = "" if warm.gain_fitted else ", not corrected"
-        lines.append(
+        yield (
             f"{warm.lowest_degC:g} to {warm.highest_degC:g} degC: offsets change by {terms} microstrain/K{fitted}; "
             f"gain by {100 * warm.gain_per_K:+.2g} +- {100 * warm.gain_half_width:.2g} %/K{gain}"
         )
@@ -126,7 +122,7 @@ def _of_validity(fit: Fit, calibration: Calibration, layout: str | None) -> list
         model = parity(fit.C, calibration.covariance_strain2)
         share = model.visible * np.diag(calibration.covariance_strain2)
         smallest = detectable_strain(model, limit=calibration.redundancy_limit) * UE
-        lines.append(
+        yield (
             f"redundancy: limit {calibration.redundancy_limit:.4g} of chi-square, a false alarm in a million samples; "
             "smallest fault that a sample shows: "
             + ", ".join(f"SG{k + 1} {size:.3g}" for k, size in enumerate(smallest))
@@ -134,11 +130,10 @@ def _of_validity(fit: Fit, calibration: Calibration, layout: str | None) -> list
         )
         blind = ", ".join(f"SG{k + 1} ({100.0 * share[k]:.2g} %)" for k in np.flatnonzero(share < LEAST_SHARE))
         if blind:
-            lines.append(
+            yield (
                 f"the residuals show under {100.0 * LEAST_SHARE:.0f} % of the noise of {blind}: a smaller fault there "
                 "passes as a force, and the uncertainty does not contain it"
             )
-    return lines
 
 
 def _print_text(path: str, result: Fitted, notes: list[str]) -> None:
@@ -160,19 +155,15 @@ def _print_text(path: str, result: Fitted, notes: list[str]) -> None:
         print(line)
 
 
-def left_out(data: Measurements, fit: Fit) -> list[str]:
+def left_out(data: Measurements, fit: Fit) -> Iterator[str]:
     """One line for each row that does not count in full, with its line in the file."""
     kept = " (kept: loss none)" if fit.loss == "none" else ""
-    lines = []
     for row in fit.outliers:
         residual = ", ".join(f"SG{k + 1} {value * UE:+.1f}" for k, value in enumerate(fit.residual_strain[row]))
-        lines.append(
-            f"outlier{kept}: line {data.line[row]}: {fit.distance[row]:.1f} standard deviations off, residuals "
-            f"{residual} microstrain"
-        )
+        off = f"{fit.distance[row]:.1f} standard deviations off"
+        yield f"outlier{kept}: line {data.line[row]}: {off}, residuals {residual} microstrain"
     for what, places in (("saturated", fit.saturated), ("too near to the limit", fit.near_limit)):
-        lines.extend(f"{what}: line {data.line[row]}: SG{gauge + 1} is left out" for row, gauge in places)
-    return lines
+        yield from (f"{what}: line {data.line[row]}: SG{gauge + 1} is left out" for row, gauge in places)
 
 
 def _record(path: str, result: Fitted, notes: list[str], warnings: list[str]) -> dict[str, object]:
@@ -202,7 +193,7 @@ def _record(path: str, result: Fitted, notes: list[str], warnings: list[str]) ->
             }
             for load in fit.loads
         ],
-        "left_out": left_out(data, fit),
+        "left_out": list(left_out(data, fit)),
         "bad": [{"line": row.line, "reason": row.reason} for row in data.bad],
         "converged": fit.converged,
         "groove_scatter": fit.groove_scatter,
@@ -248,7 +239,7 @@ def _print_loads(fit: Fit) -> None:
 def publish(path: str, result: Fitted, more_notes: Iterable[str] = ()) -> bool:
     """Print the account of a fit; return whether something speaks against it."""
     remarks = [*notes(result), *more_notes]
-    doubts = warnings(result)
+    doubts = list(warnings(result))
     if common.OUTPUT.json:
         common.print_json(_record(path, result, remarks, doubts))
     else:

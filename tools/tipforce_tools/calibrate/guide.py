@@ -13,16 +13,14 @@ MIN_SAMPLES, MAX_SAMPLES = 10, 100_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of guide."""
-    parser.epilog = (
-        "At each step: Enter captures, s skips, r repeats the last step, q saves and quits. Each capture is one row\n"
-        "of the session file, written to disk at once: the same command continues where it stopped. At the end the\n"
-        "calibration is fitted, shown, and after confirmation written to the node, verified and stored.\n"
-        "  tipforce calibrate guide --node 5 --weights 4.4,2.2 --session a.csv -o finger.toml -i socketcan -c can0\n"
-        "  tipforce calibrate guide --node 5 --auto -o finger.toml -i socketcan -c vcan0      (a simulated node)\n"
-        "A plan for another rig (TOML): a [[step]] per load with P_N, phi_deg, theta_deg, optional mode (pull, push,\n"
-        "tare) and instruction; tare_every = 4 sets the number of loads between unloaded readings."
-    )
+    """At each step: Enter captures, s skips, r repeats the last step, q saves and quits. Each capture is one row
+    of the session file, written to disk at once: the same command continues where it stopped. At the end the
+    calibration is fitted, shown, and after confirmation written to the node, verified and stored.
+      tipforce calibrate guide --node 5 --weights 4.4,2.2 --session a.csv -o finger.toml -i socketcan -c can0
+      tipforce calibrate guide --node 5 --auto -o finger.toml -i socketcan -c vcan0      (a simulated node)
+    A plan for another rig (TOML): a [[step]] per load with P_N, phi_deg, theta_deg, optional mode (pull, push,
+    tare) and instruction; tare_every = 4 sets the number of loads between unloaded readings.
+    """
     parser.add_argument("--node", "--node-id", type=common.node_id, required=True, metavar="ID", help="1 to 127")
     parser.add_argument("--plan", metavar="PLAN.toml", help="steps for another rig")
     parser.add_argument("--weights", metavar="N,N", help=f"weights in newtons (default {DEFAULT_WEIGHTS})")
@@ -34,12 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--samples", type=int, default=200, metavar="N", help="of a capture (default %(default)s)")
     period = common.number_within(0.0, 1000.0, "is above 0, up to 1000", over=True)
     limit = common.number_within(0.0, 1e6, "is above 0, up to 1e+06", over=True)
-    common.add_numbers(
-        group,
-        ("--period", 5.0, "MS", "between samples (default %(default)s)", period),
-        ("--max-std", 5.0, "UE", "largest scatter, microstrain (default %(default)s)", limit),
-        ("--max-drift", 2.0, "UE", "largest drift, microstrain (default %(default)s)", limit),
-    )
+    common.add_number(group, "--period", 5.0, "MS", "between samples (default %(default)s)", period)
+    common.add_number(group, "--max-std", 5.0, "UE", "largest scatter, microstrain (default %(default)s)", limit)
+    common.add_number(group, "--max-drift", 2.0, "UE", "largest drift, microstrain (default %(default)s)", limit)
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="gauge layout, for file and prior")
     fit.add_model_arguments(parser, None, "0.5; --auto: 0")
     common.add_confirm_argument(parser)

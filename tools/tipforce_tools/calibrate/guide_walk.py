@@ -86,29 +86,23 @@ def _unusable(capture: Capture) -> list[str]:
     of = f"of {capture.asked} samples"
     texts = []
     if capture.silent and not capture.count:
-        texts.append(
-            "silent: no gauge PDO on SYNC, although the node responds to SDO: "
-            "check for another NMT master and for bus overload; try again"
-        )
+        silent = "silent: no gauge PDO on SYNC, although the node responds to SDO"
+        texts.append(f"{silent}: check for another NMT master and for bus overload; try again")
     if capture.faulty:
         names = _fault_names(capture.faults)
-        texts.append(
-            f"front-end fault in {capture.faulty} {of} (2124h = 0x{capture.faults:04X}"
-            f"{names and ': ' + names}): check the wiring and the supply of the gauges"
-        )
+        fault = f"front-end fault in {capture.faulty} {of} (2124h = 0x{capture.faults:04X}{names and ': ' + names})"
+        texts.append(f"{fault}: check the wiring and the supply of the gauges")
     hit = [f"SG{k + 1}" for k, count in enumerate(capture.saturated) if count]
     if hit:
         saturated = f"saturated: {', '.join(hit)} in up to {max(capture.saturated)} {of}"
         texts.append(f"{saturated}: use a smaller weight, or check the gauge's wiring")
     if not texts and capture.count < capture.asked:
-        if capture.repeated > capture.stale:
-            unchanged = f"the sample counter does not change ({capture.repeated} repeated)"
-            texts.append(f"{unchanged}: the node no longer measures: reset it")
-        else:
-            texts.append(
-                f"stale: only {capture.count} {of} were new ({capture.stale} stale, {capture.silent} missing): "
-                "the converter delivers no samples: check the node, or increase --period"
-            )
+        unchanged = f"the sample counter does not change ({capture.repeated} repeated): the node no longer measures"
+        stale = (
+            f"stale: only {capture.count} {of} were new ({capture.stale} stale, {capture.silent} missing): "
+            "the converter delivers no samples: check the node, or increase --period"
+        )
+        texts.append(f"{unchanged}: reset it" if capture.repeated > capture.stale else stale)
     return texts
 
 
@@ -230,8 +224,7 @@ class Walk:
             if not reasons:
                 self._take(step, capture)
                 return True
-            for reason in reasons:
-                self._say(f"  refused: {reason}")
+            self._say("\n".join(f"  refused: {reason}" for reason in reasons))
         return False
 
     def _take(self, step: Step, capture: Capture) -> None:
@@ -240,18 +233,11 @@ class Walk:
         self._todo.popleft()
         self._skipped.discard(step.number)
         if common.OUTPUT.json:
+            number, (P_N, phi_deg, theta_deg) = step.number if step.number != EXTRA else "extra", step.load[:3]
+            gauges = {f"{name}_microstrain": getattr(capture, name).tolist() for name in ("mean", "std", "drift")}
             common.print_json({
-                "step": step.number if step.number != EXTRA else "extra",
-                "steps": len(self._steps),
-                "P_N": step.P_newtons,
-                "phi_deg": step.phi_deg,
-                "theta_deg": step.theta_deg,
-                "mode": step.mode,
-                "samples": capture.count,
-                "mean_microstrain": capture.mean.tolist(),
-                "std_microstrain": capture.std.tolist(),
-                "drift_microstrain": capture.drift.tolist(),
-                "temperature_degC": capture.temperature_degC,
+                "step": number, "steps": len(self._steps), "P_N": P_N, "phi_deg": phi_deg, "theta_deg": theta_deg,
+                "mode": step.mode, "samples": capture.count, **gauges, "temperature_degC": capture.temperature_degC,
             })  # fmt: skip
         for k, (mean, std, drift) in enumerate(zip(capture.mean, capture.std, capture.drift, strict=True)):
             common.note(f"  SG{k + 1} {mean:+10.2f} microstrain, standard deviation {std:.2f}, drift {drift:+.2f}")
@@ -270,10 +256,8 @@ class Walk:
             unmoved = moved < max(_UNMOVED_MICROSTRAIN, 5.0 * u)
             return "same reading as the last unloaded one: is the weight applied?" if unmoved else ""
         loaded = [np.abs(row.mean_microstrain - tares[-1]).max() for row in self._session.rows if not row.unloaded]
-        still_loaded = bool(loaded) and moved > _MOVED_SHARE * max(loaded)
-        return (
-            f"{moved:.1f} microstrain from the last unloaded reading: is a load still applied?" if still_loaded else ""
-        )
+        remark = f"{moved:.1f} microstrain from the last unloaded reading: is a load still applied?"
+        return remark if loaded and moved > _MOVED_SHARE * max(loaded) else ""
 
     def _name(self, step: Step) -> str:
         return "the extra unloaded reading" if step.number == EXTRA else f"step {step.number} of {len(self._steps)}"

@@ -5,6 +5,7 @@ import importlib
 import os
 import re
 import sys
+import textwrap
 from collections.abc import Callable, Mapping
 from typing import NoReturn
 
@@ -12,8 +13,8 @@ from canopen_device.visible_text import visible
 from tipforce_tools.cli import common
 
 Actions = Mapping[str, tuple[str, str]]
-"""name -> (place, one line of help). A place is a module below tipforce_tools with add_arguments(parser) and run(args)
--> exit code, or ``module:word``, a module of several commands: add_word_arguments and run_word."""
+"""name -> (place, one line of help). A place is a module below tipforce_tools with add_arguments(parser), whose
+docstring ends the help, and run(args) -> exit code; or ``module:word`` with add_word_arguments and run_word."""
 
 
 def functions(place: str) -> tuple[Callable[[argparse.ArgumentParser], None], Callable[[argparse.Namespace], int]]:
@@ -139,7 +140,9 @@ def parser_of(path: str, place: str | Actions, summary: str) -> CommandParser:
     # argparse's own pattern takes -1.5e-3 and -1,0,0 for unknown flags.
     parser._negative_number_matcher = re.compile(r"-\.?\d")
     if isinstance(place, str):
-        functions(place)[0](parser)
+        add_flags = functions(place)[0]
+        parser.epilog = textwrap.dedent(f"    {add_flags.__doc__ or ''}").strip()
+        add_flags(parser)
         return parser
     parser.choice = {name: text for name, (_, text) in place.items()}
     parser.epilog = (

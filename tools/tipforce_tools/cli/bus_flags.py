@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import DuplicateNodeError, EnvironmentLackError, InputError, TipforceError
@@ -29,34 +28,17 @@ BUILT_IN_INTERFACES = (
 )  # fmt: skip
 """Interfaces included in python-can 4.6; plug-ins add more."""
 
-_PLUGIN_GROUP = b"[can.interface]"  # in a distribution's entry_points.txt
-
 
 class Interfaces:
-    """The choices of -i: python-can is imported only for a name that it does not include."""
+    """The choices of -i; plug-ins are looked for only when a name is not included, or all are listed."""
 
     def __contains__(self, name: object) -> bool:
-        return name in BUILT_IN_INTERFACES or name in _valid_interfaces()
+        return name in BUILT_IN_INTERFACES or name in tuple(self)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(_valid_interfaces() if "can" in sys.modules or _some_plugin() else BUILT_IN_INTERFACES)
+        from importlib.metadata import entry_points
 
-
-def _valid_interfaces() -> tuple[str, ...]:
-    import can
-
-    return tuple(sorted(can.VALID_INTERFACES))
-
-
-def _some_plugin() -> bool:
-    for folder in sys.path:
-        for file in Path(folder or ".").glob("*-info/entry_points.txt"):
-            try:
-                if _PLUGIN_GROUP in file.read_bytes():
-                    return True
-            except OSError:  # unreadable for python-can, too
-                continue
-    return False
+        return iter(sorted({*BUILT_IN_INTERFACES, *entry_points(group="can.interface").names}))
 
 
 class _PythonCanAction(argparse.Action):
@@ -100,7 +82,7 @@ def add_sdo_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bus flags, the timeout and retries of SDO transfers, and the output flags."""
     add_bus_flags(parser)
     group = parser.add_argument_group("SDO")
-    common.add_numbers(group, ("--timeout", 0.5, "S", "timeout of a response (default %(default)s s)", common.timeout))
+    common.add_number(group, "--timeout", 0.5, "S", "timeout of a response (default %(default)s s)", common.timeout)
     group.add_argument(
         "--retries", type=common.whole_number, default=2, metavar="N", help="after a timeout (%(default)s)"
     )

@@ -101,13 +101,12 @@ MOST = sys.float_info.max
 """The largest finite number."""
 
 
-def add_numbers(
-    parser: argparse.ArgumentParser | argparse._ArgumentGroup,
-    *flags: tuple[str, float | None, str, str, Callable[[str], float]],
-) -> None:
-    """Add flags of one number each: (name, default, unit, help, parser of the text, which knows what is allowed)."""
-    for name, default, unit, text, parse in flags:
-        parser.add_argument(name, type=parse, default=default, metavar=unit, help=text)
+def add_number(
+    parser: argparse._ActionsContainer, name: str, default: float | None, unit: str, text: str,
+    parse: Callable[[str], float],
+) -> None:  # fmt: skip
+    """Add a flag of one number; ``parse`` knows what is allowed."""
+    parser.add_argument(name, type=parse, default=default, metavar=unit, help=text)
 
 
 class InputFile:
@@ -260,12 +259,8 @@ def console(*, stderr: bool = False) -> Console:
 
 
 def print_table(table: Table) -> None:
-    """Print a table on stdout.
-
-    In a narrow terminal it has no borders and words wrap; numbers do not. A truncated number (`4.…`) is useless, and a
-    wrapped one appears beside the label of another. A word longer than its column continues on the next line, so that
-    names can be copied.
-    """
+    """Print a table on stdout. In a narrow terminal it has no borders; words wrap, and numbers do not: a wrapped one
+    would appear beside the label of another. A word longer than its column continues on the next line."""
     screen = console()
     unbounded = screen.options.update(width=1000)
     if screen.measure(table, options=unbounded).maximum > screen.width:
@@ -328,16 +323,13 @@ def eds_files(given: Sequence[str]) -> tuple[tuple[int, str], ...]:
 
     files: dict[int, str] = {}
     for text in given:
-        head, equal, path = text.partition("=")
-        try:
-            number = node_id(head)
-        except (argparse.ArgumentTypeError, ValueError):
-            number = 0
-        if not equal or not path or not number:
+        head, _, path = text.partition("=")
+        node = number(head, _any_base)
+        if not (path and 1 <= node <= 127):
             raise InputError(f"--eds {text}: the form is ID=FILE, such as 5=drive.eds")
-        if number in files:
-            raise InputError(f"--eds {text}: node {number} has a file already")
-        for warning in read_eds(path, number).warnings:
+        if node in files:
+            raise InputError(f"--eds {text}: node {node} has a file already")
+        for warning in read_eds(path, node).warnings:
             print(f"warning: {warning}", file=sys.stderr)
-        files[number] = path
+        files[node] = path
     return tuple(files.items())

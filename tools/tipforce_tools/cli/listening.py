@@ -35,9 +35,9 @@ def add_sync_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sync", type=_sync_hz, metavar="HZ", help="bus: also send SYNCs, where nobody else does")
 
 
-def check_sync(sync_hz: float | None, source: object) -> None:
+def check_sync(args: Namespace, source: object) -> None:
     """Raise InputError for --sync with a source that is no bus."""
-    if sync_hz is not None and source is not None:
+    if args.sync is not None and source is not None:
         raise InputError(f"--sync: {source} is no bus to listen to; leave the flag out")
 
 
@@ -99,9 +99,8 @@ class Hints:
 
 
 def _group(
-    buses: Sequence[dict[str, Any]], selections: Sequence[Selection | None], tick_s: float, hints: Hints | None,
-    sync_hz: float | None,
-) -> ReceiverGroup:  # fmt: skip
+    args: Namespace, buses: Sequence[tuple[dict[str, Any], Selection | None]], tick_s: float, hints: Hints | None
+) -> ReceiverGroup:
     from tipforce.host.live.receive import open_receiver
     from tipforce.host.live.receiver import ReceiverGroup
 
@@ -119,15 +118,14 @@ def _group(
                     return block
 
     with ExitStack() as opened:
-        chosen = zip(buses, selections, strict=True)
-        receivers = [opened.enter_context(open_receiver(*each, tick_s=tick_s)) for each in chosen]
+        receivers = [opened.enter_context(open_receiver(*each, tick_s=tick_s)) for each in buses]
         if hints is not None:
-            hints.watch(buses, opened)
-        if sync_hz:
+            hints.watch([options for options, _ in buses], opened)
+        if sync_hz := getattr(args, "sync", None):
             from tipforce.host.hand.link import kernel_sync
             from tipforce.host.network.interfaces import open_bus
 
-            for options in buses:
+            for options, _ in buses:
                 kernel_sync(opened.enter_context(open_bus(**options)), 1.0 / sync_hz, [b""])
         at_end = opened.pop_all()
     group = ReceiverGroup if hints is None else HintingGroup
@@ -137,19 +135,15 @@ def _group(
 def open_targets(
     targets: Sequence[Selection], args: Namespace, *, tick_s: float | None = None, hints: Hints | None = None
 ) -> ReceiverGroup:
-    """Listen to ``targets``, each on its channel; without targets, to the bus that the flags name.
-
-    ``tick_s`` is the minimum time between two batches (None: that of a live display). ``hints`` see the frames of buses
-    without filters. Raises EnvironmentLackError if a bus cannot be opened, after closing the others.
-    """
+    """Listen to ``targets``, each on its channel, or to the bus of the flags; ``tick_s``: least time between batches
+    (None: of a live display). ``hints`` see buses without filters. Raises EnvironmentLackError, closing all buses."""
     from tipforce.host.live.receiver import TICK_S, Selection
 
     options = bus_flags.find_bus(args, named=bool(targets))
-    buses = [{**options, "channel": target.channel} for target in targets] or [options]
-    selections = targets or [Selection()]
-    if any(selection.filters for selection in selections):
+    buses = [({**options, "channel": target.channel}, target) for target in targets] or [(options, Selection())]
+    if any(target.filters for target in targets):
         hints = None  # what a filter leaves out is not missing
-    return _group(buses, selections, TICK_S if tick_s is None else tick_s, hints, getattr(args, "sync", None))
+    return _group(args, buses, TICK_S if tick_s is None else tick_s, hints)
 
 
 def listening(
@@ -176,7 +170,7 @@ def listening(
         common.note(text)
         feed.hints.append(text)
 
-    source = BusSource(_group([options], [None], TICK_S, Hints(say), getattr(args, "sync", None)))
+    source = BusSource(_group(args, [(options, None)], TICK_S, Hints(say)))
     feed = FrameFeed(source, maker, gauges, fingers, int(options.get("bitrate") or DEFAULT_BIT_RATE))
     return feed, str(options.get("channel") or options.get("interface") or "bus")
 

@@ -65,14 +65,12 @@ def when(flag: str, text: str | None) -> When | None:
         ns = int(number[1]) * 1_000_000_000 + int((number[2] or "0").ljust(9, "0"))
         return When(ns, int(number[1]) < _EPOCH_FROM_S)
     try:
-        moment = datetime.fromisoformat(text.strip())
+        return When(round(datetime.fromisoformat(text.strip()).timestamp() * 1e6) * 1000, False)
     except ValueError:
         raise InputError(
             f"{flag} {text}: allowed are seconds from the start, seconds of the epoch, or ISO time: "
             "2026-05-17T09:30:00 (local; with Z or +02:00 of that zone)"
         ) from None
-    moment = moment.astimezone()
-    return When(int(moment.replace(microsecond=0).timestamp()) * 1_000_000_000 + moment.microsecond * 1000, False)
 
 
 def layouts(args: Namespace) -> tuple[Layouts, Mapping[int | None, Calibration]]:

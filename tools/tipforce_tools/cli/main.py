@@ -8,17 +8,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from canopen_device.visible_text import visible
-from tipforce.errors import (
-    DuplicateNodeError,
-    EnvironmentLackError,
-    InputError,
-    LogError,
-    NoResponseError,
-    RefusedError,
-    SdoAbortError,
-    TipforceError,
-    WriteError,
-)
+from tipforce import errors
+from tipforce.errors import TipforceError
 from tipforce_tools.cli.output import visible_streams
 
 if TYPE_CHECKING:
@@ -93,8 +84,8 @@ GROUPS: dict[str, dict[str, tuple[str | Actions, str]]] = {
 COMMANDS = {name: entry for commands in GROUPS.values() for name, entry in commands.items()}
 
 EXIT_CODES: dict[type[TipforceError], int] = {
-    LogError: 1, DuplicateNodeError: 1, InputError: 2, NoResponseError: 5, EnvironmentLackError: 2,
-    SdoAbortError: 11, RefusedError: 12, WriteError: 1,
+    errors.LogError: 1, errors.DuplicateNodeError: 1, errors.InputError: 2, errors.NoResponseError: 5,
+    errors.EnvironmentLackError: 2, errors.SdoAbortError: 11, errors.RefusedError: 12, errors.WriteError: 1,
 }  # fmt: skip
 PERMISSION, INTERRUPTED = 9, 130
 EXIT_TEXTS = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import errno
 import logging
 import os
 import signal
@@ -51,12 +52,9 @@ def lock_memory() -> None:
         raise EnvironmentLackError("--lock-memory: this system has no mlockall; leave the flag out")
     if call(_MCL_CURRENT | _MCL_FUTURE) != 0:
         number = ctypes.get_errno()
-        error = OSError(number, os.strerror(number))  # becomes a PermissionError for EPERM
-        reason = "not permitted" if isinstance(error, PermissionError) else os.strerror(number)
+        reason = "not permitted" if number == errno.EPERM else os.strerror(number)
         text = _NOT_PERMITTED.format(f"--lock-memory: {reason}", "LimitMEMLOCK=infinity", "memlock unlimited")
-        raise EnvironmentLackError(text) from (
-            error if isinstance(error, PermissionError) else PermissionError(number, reason)
-        )
+        raise EnvironmentLackError(text) from PermissionError(number, reason)
 
 
 class Notifier:
@@ -67,8 +65,6 @@ class Notifier:
         address = os.environ.get("NOTIFY_SOCKET", "")
         self._address = "\0" + address[1:] if address.startswith("@") else address
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) if self._address else None
-        if self._socket is not None:
-            self._socket.setblocking(False)
         self._clock_us = clock_us
         own, text = str(os.getpid()), os.environ.get("WATCHDOG_USEC", "")
         supervised = os.environ.get("WATCHDOG_PID", own) == own and text.isdecimal()
@@ -79,7 +75,7 @@ class Notifier:
         """Send lines such as READY=1. Does not wait: a manager that does not read loses them."""
         if self._socket is not None:
             with contextlib.suppress(OSError):
-                self._socket.sendto("\n".join(lines).encode(), self._address)
+                self._socket.sendto("\n".join(lines).encode(), socket.MSG_DONTWAIT, self._address)
 
     def alive(self) -> None:
         """Send WATCHDOG=1 if it is due."""

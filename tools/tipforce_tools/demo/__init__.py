@@ -14,11 +14,8 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce demo`."""
-    parser.epilog = (
-        "Exit code 1 if an error is outside its bound: z x standard uncertainty (z for a family-wise error of 1e-6\n"
-        "over all comparisons) + half a count of each gauge, propagated + half a step of the PDO's resolution."
-    )
+    """Exit code 1 if an error is outside its bound: z x standard uncertainty (z for a family-wise error of 1e-6
+    over all comparisons) + half a count of each gauge, propagated + half a step of the PDO's resolution."""
     what = "of the simulated noise (default %(default)s)"
     parser.add_argument("--seed", type=common.whole_number, default=20261121, help=what)
     parser.add_argument("--spoil", action="store_true", help="corrupt an element of each matrix: the demo must fail")

@@ -16,14 +16,12 @@ _LENGTHS = ("a", "d", "r", "h1", "h2", "width")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce design optimise`."""
-    parser.epilog = (
-        "Envelope and stress default to the size of the paper's fabricated body and its maximum stress at the load;\n"
-        "the paper states no minimum thickness or slenderness. Exit code 1 if beam theory and the frame differ by\n"
-        "more than 3 % on the best design. The condition number does not fix the thickness; minimum noise does.\n"
-        "`I glued`: case I with gauges of the stated length, which do not fit at the paper's points.\n"
-        "  tipforce design optimise --gauges 4 -o four.toml && tipforce node --node-id 5 --layout four.toml ..."
-    )
+    """Envelope and stress default to the size of the paper's fabricated body and its maximum stress at the load;
+    the paper states no minimum thickness or slenderness. Exit code 1 if beam theory and the frame differ by
+    more than 3 % on the best design. The condition number does not fix the thickness; minimum noise does.
+    `I glued`: case I with gauges of the stated length, which do not fit at the paper's points.
+      tipforce design optimise --gauges 4 -o four.toml && tipforce node --node-id 5 --layout four.toml ...
+    """
     parser.add_argument(
         "--objective", choices=("theta", "noise", "singular", "condition"), default="theta",
         help="minimise u(theta) (RMS over the loads), sqrt(trace(C C^T)), 1 / smallest singular value, or the "
@@ -34,21 +32,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=common.whole_number, default=0, help="of the starts (default %(default)s)")
     parser.add_argument("-o", "--output", metavar="LAYOUT.toml", help="write the best design as a layout file")
     not_negative = common.number_within(0.0, common.MOST, "is 0 or more")
-    common.add_numbers(
-        parser,
-        ("--noise", 0.5, "UE", "per gauge, microstrain (%(default)s)", not_negative),
-        ("--load", 4.4, "N", "of every push (default %(default)s)", float),
-    )
+    common.add_number(parser, "--noise", 0.5, "UE", "per gauge, microstrain (%(default)s)", not_negative)
+    common.add_number(parser, "--load", 4.4, "N", "of every push (default %(default)s)", float)
     group = parser.add_argument_group("limits")
     group.add_argument("--envelope", default="30,30.2", metavar="X,Y", help="mm: 2 r by d + h1/2 + r (%(default)s)")
-    common.add_numbers(
-        group,
-        ("--width", 10.0, "MM", "of the beams (default %(default)s)", float),
-        ("--min-h", 0.2, "MM", "least thickness (default %(default)s)", float),
-        ("--gauge-length", 1.0, "MM", "default %(default)s", float),
-        ("--slit", 0.25, "MM", "must stay open (default %(default)s)", float),
-        ("--max-stress", None, "MPA", "at the load, worst angle (default: the paper's)", float),
-    )
+    common.add_number(group, "--width", 10.0, "MM", "of the beams (default %(default)s)", float)
+    common.add_number(group, "--min-h", 0.2, "MM", "least thickness (default %(default)s)", float)
+    common.add_number(group, "--gauge-length", 1.0, "MM", "default %(default)s", float)
+    common.add_number(group, "--slit", 0.25, "MM", "must stay open (default %(default)s)", float)
+    common.add_number(group, "--max-stress", None, "MPA", "at the load, worst angle (default: the paper's)", float)
     common.add_output_arguments(parser)
 
 
@@ -116,7 +108,7 @@ def _print_tables(entries: list[Assessment], noise_microstrain: float, load_newt
     structures, figures, frames = [], [], []
     for entry in entries:
         lengths = (f"{1e3 * getattr(entry.geometry, f'{symbol}_m'):.3f}" for symbol in _LENGTHS)
-        structures.append((entry.name, *lengths, ", ".join(gauge_name(gauge) for gauge in entry.gauges)))
+        structures.append((entry.name, *lengths, ", ".join(map(gauge_name, entry.gauges))))
         merit, joint = entry.theory, entry.frame_finite_joint
         figures.append((
             entry.name, *_figures(merit), f"{1e3 * merit.noise_gain_newtons:.2f}",
@@ -128,20 +120,14 @@ def _print_tables(entries: list[Assessment], noise_microstrain: float, load_newt
             f"{100 * entry.disagreement:.2f}", f"{joint.u_theta_deg:.4f}", f"{joint.condition_number:.3f}",
         ))  # fmt: skip
     doubts = [None if entry.agrees else "yellow" for entry in entries]
-    common.print_rows(
-        "Structures, mm; gauges: beam, side, middle of the gauge from the joint",
-        ("", *(f">{symbol}" for symbol in _LENGTHS), "SG1, SG2, ..."), structures,
-    )  # fmt: skip
-    common.print_rows(
-        f"Standard uncertainties at {noise_microstrain:g} microstrain and {load_newtons:g} N, and limits of the body",
-        ("", ">u(P) mN", ">u(phi) deg", ">u(theta) deg", ">mN per ue", ">least ue/N", ">cond", ">MPa", ">slit shuts N"),
-        figures, doubts,
-    )  # fmt: skip
-    common.print_rows(
-        "The same by the frame: shear and elastic roots; then with the joint a block h2 wide as well",
-        ("", ">u(P) mN", ">u(phi) deg", ">u(theta) deg", ">cond", ">differs %", ">block: u(theta)", ">cond"),
-        frames, doubts,
-    )  # fmt: skip
+    u = ("", ">u(P) mN", ">u(phi) deg", ">u(theta) deg")
+    title = "Structures, mm; gauges: beam, side, middle of the gauge from the joint"
+    common.print_rows(title, ("", *(f">{symbol}" for symbol in _LENGTHS), "SG1, SG2, ..."), structures)
+    at = f"at {noise_microstrain:g} microstrain and {load_newtons:g} N"
+    title = f"Standard uncertainties {at}, and limits of the body"
+    common.print_rows(title, (*u, ">mN per ue", ">least ue/N", ">cond", ">MPa", ">slit shuts N"), figures, doubts)
+    title = "The same by the frame: shear and elastic roots; then with the joint a block h2 wide as well"
+    common.print_rows(title, (*u, ">cond", ">differs %", ">block: u(theta)", ">cond"), frames, doubts)
 
 
 def _figures(merit: Merit) -> tuple[str, str, str]:
@@ -152,23 +138,20 @@ def _sentences(outcome: Outcome, gauges: int, noise_microstrain: float) -> list[
     from tipforce_lab.design.merit import AGREEMENT, detectable_microstrain
 
     best, first, least = outcome.best, outcome.paper[0], outcome.condition_only
+    verdict = "PASS" if best.agrees else "FAIL"
+    checked = ", ".join(f"{entry.name} {100 * entry.disagreement:.2f} %" for entry in dict.fromkeys((best, least)))
     lines = [
-        f"{best.name}: u(theta) {100 * (_ratio(best, reference, 'u_theta_deg') - 1):+.1f} % against case "
-        f"{reference.name}, condition number "
-        f"{best.theory.condition_number:.3f} against {reference.theory.condition_number:.3f}"
-        for reference in outcome.paper
-        if reference.name in ("I", "I glued")
-    ]
-    lines.append(
+        *(
+            f"{best.name}: u(theta) {100 * (_ratio(best, case, 'u_theta_deg') - 1):+.1f} % against case {case.name}, "
+            f"condition number {best.theory.condition_number:.3f} against {case.theory.condition_number:.3f}"
+            for case in outcome.paper
+            if case.name in ("I", "I glued")
+        ),
         f"condition number alone: {least.theory.condition_number:.3f}, but u(theta) "
         f"{_ratio(least, first, 'u_theta_deg'):.2f} times and sqrt(trace(C C^T)) "
-        f"{_ratio(least, first, 'noise_gain_newtons'):.2f} times those of case I"
-    )
-    verdict = "PASS" if best.agrees else "FAIL"
-    lines.append(
-        f"beam theory and the independent frame agree within {100 * AGREEMENT:.0f} %: {verdict} "
-        f"({', '.join(f'{entry.name} {100 * entry.disagreement:.2f} %' for entry in dict.fromkeys((best, least)))})"
-    )
+        f"{_ratio(least, first, 'noise_gain_newtons'):.2f} times those of case I",
+        f"beam theory and the independent frame agree within {100 * AGREEMENT:.0f} %: {verdict} ({checked})",
+    ]
     if gauges > 3:
         lines.append("cases I to III have 3 gauges: a part of the gain is that of more gauges")
         for entry in outcome.front:

@@ -27,14 +27,12 @@ _NOTES = [
 
 
 def add_table_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce design table`."""
-    parser.epilog = (
-        "1, 2, 3: the tables (3 with the ranking of all layouts). comparators: the sensors [5] and [11] on one scale.\n"
-        "fig6: condition number against gauge shift. fig9: errors in the paper's grooves, simulated. off-axis:\n"
-        "section 3.3. materials: other materials and the largest load. scaling: smaller fingertips. Explained in\n"
-        "docs/mechanics.md.\n"
-        "  tipforce design table all -o figures"
-    )
+    """1, 2, 3: the tables (3 with the ranking of all layouts). comparators: the sensors [5] and [11] on one scale.
+    fig6: condition number against gauge shift. fig9: errors in the paper's grooves, simulated. off-axis:
+    section 3.3. materials: other materials and the largest load. scaling: smaller fingertips. Explained in
+    docs/mechanics.md.
+      tipforce design table all -o figures
+    """
     parser.add_argument("what", nargs="?", choices=(*TABLES, "all"), default="all", help="default: all")
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="also write the figures (needs matplotlib)")
     parser.add_argument("--format", choices=("svg", "png"), default="svg", help="of the figures (default: svg)")
@@ -70,13 +68,11 @@ def run_table(args: argparse.Namespace) -> int:
 
 
 def add_sweep_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce design sweep`."""
-    parser.epilog = (
-        "Dimensions are in millimetres; the others and the load are constant. SG1, SG2, ... shift one gauge, all\n"
-        "shifts all gauges, in millimetres inward along their beams: away from the nearer end.\n"
-        "  tipforce design sweep SG3 --layout III --to 4 --steps 9\n"
-        "  tipforce design sweep r --from 8 --to 20 -o r.svg"
-    )
+    """Dimensions are in millimetres; the others and the load are constant. SG1, SG2, ... shift one gauge, all
+    shifts all gauges, in millimetres inward along their beams: away from the nearer end.
+      tipforce design sweep SG3 --layout III --to 4 --steps 9
+      tipforce design sweep r --from 8 --to 20 -o r.svg
+    """
     parser.add_argument("what", metavar="WHAT", help=f"{', '.join(DIMENSIONS)}, SG1, SG2, ..., or all")
     parser.add_argument("--from", type=float, dest="start", metavar="MM", help="default: half the dimension, or 0")
     parser.add_argument("--to", type=float, dest="stop", metavar="MM", help="default: 1.5 times it, or 5")
@@ -131,8 +127,7 @@ def sweep_section(args: argparse.Namespace, geometry: Geometry, gauges: Sequence
         moved_m = [value_m if not resized and args.what in ("all", name) else 0.0 for name in names]
         matrix = position_matrix(body, [shifted(body, *of) for of in zip(gauges, moved_m, strict=True)])
         largest = max(maximum_over_contacts((g1, g2, g3)).value for g1, g2, g3 in matrix.tolist())
-        own = {args.what + "_mm": value_mm, **figures(matrix), "largest_strain_ue_per_N": 1e6 * largest}
-        records.append(own)
+        records.append({f"{args.what}_mm": value_mm, **figures(matrix), "largest_strain_ue_per_N": 1e6 * largest})
     columns = {
         args.what + "_mm": f"{args.what} (mm)",
         "condition": "condition number",

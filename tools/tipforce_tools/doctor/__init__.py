@@ -17,16 +17,14 @@ _STYLES = {"ok": "green", "note": "yellow", "fail": "bold red"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce doctor`."""
-    parser.epilog = (
-        "Checks the kernel, the interfaces, the source of the bus name, and the installed packages. On a bus (of the\n"
-        "flags, or the only CAN interface that is up) it listens, requests the identity of every node as `tipforce\n"
-        "scan` does, and says what stands between it and forces; with HAND.toml also swapped serial numbers. Without\n"
-        "a bus it tries `tipforce vcan`. Exit code 1: something is wrong."
-    )
+    """Checks the kernel, the interfaces, the source of the bus name, and the installed packages. On a bus (of the
+    flags, or the only CAN interface that is up) it listens, requests the identity of every node as `tipforce
+    scan` does, and says what stands between it and forces; with HAND.toml also swapped serial numbers. Without
+    a bus it tries `tipforce vcan`. Exit code 1: something is wrong.
+    """
     parser.add_argument("hand", nargs="?", type=common.InputFile(), metavar="HAND.toml", help="compare the bus with it")
     an_hour = common.number_within(0.0, 3600.0, "are 0 to 3600 s")
-    common.add_numbers(parser, ("--listen", 1.2, "S", "listen for S (default %(default)s s)", an_hour))
+    common.add_number(parser, "--listen", 1.2, "S", "listen for S (default %(default)s s)", an_hour)
     bus_flags.add_bus_arguments(parser)
 
 

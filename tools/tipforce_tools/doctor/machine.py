@@ -98,16 +98,13 @@ def vcan_checks() -> Iterator[Finding]:
     from tipforce_tools.kernel import uml
     from tipforce_tools.kernel.host import ELSEWHERE, choose
 
-    place = choose(INTERFACES)
+    works = f"`tipforce vcan` works: vcan0 and vcan1, {_PLACES[choose(INTERFACES)]}"
     try:
         code = uml.run_with_vcan(["true"], interfaces=INTERFACES, timeout_s=120.0)
+        failed = f"`tipforce vcan -- true` ended with {code}"
+        yield Finding("vcan", "note", failed, ELSEWHERE) if code else Finding("vcan", "ok", works)
     except TipforceError as error:
         yield Finding("vcan", "note", str(error).splitlines()[0], "`tipforce vcan -- true` shows the details")
-        return
-    if code:
-        yield Finding("vcan", "note", f"`tipforce vcan -- true` ended with {code}", ELSEWHERE)
-    else:
-        yield Finding("vcan", "ok", f"`tipforce vcan` works: vcan0 and vcan1, {_PLACES[place]}")
 
 
 def multicast_checks() -> Iterator[Finding]:
@@ -174,13 +171,11 @@ def _device_checks(device: Device, device_files: Path) -> Iterator[Finding]:
 
 def _buffering(devices: list[Device], root: Path, configfs: Path | None) -> Finding:
     topic = "ADC trigger"
-    own = [name for device in devices if (name := iio_buffer.own_trigger(device, root))]
-    if own:
+    if own := [name for device in devices if (name := iio_buffer.own_trigger(device, root))]:
         return Finding(topic, "ok", f"data-ready triggers: {', '.join(own)}", "used by --capture auto")
     if (configfs or iio_buffer.HRTIMER).is_dir():
         return Finding(topic, "ok", "timer triggers are available", "used by --capture auto, rate by --scan-rate")
-    others = ", ".join(iio_buffer.triggers(root))
-    if others:
+    if others := ", ".join(iio_buffer.triggers(root)):
         return Finding(topic, "ok", f"triggers: {others}", "--trigger NAME")
     step = "for buffered capture: `modprobe iio-trig-hrtimer` and `mount -t configfs none /sys/kernel/config`"
     return Finding(topic, "note", "no trigger: converters are polled", step)
@@ -190,10 +185,8 @@ def software_checks() -> Iterator[Finding]:
     """Yield checks of versions, extras and related tools."""
     base = ", ".join(f"{name} {_version(name)}" for name in BASE)
     yield Finding("software", "ok", f"tipforce {_version('tipforce')}, Python {platform.python_version()}, {base}")
-    if core is not None:
-        yield Finding("core", "ok", "compiled")
-    else:
-        yield Finding("core", "note", "not compiled: logs are read more slowly", how_to_build())
+    lacking = Finding("core", "note", "not compiled: logs are read more slowly", how_to_build())
+    yield lacking if core is None else Finding("core", "ok", "compiled")
     missing = [extra for extra, name in EXTRAS.items() if _version(name) == "missing"]
     yield _lacks("extras", "not installed", missing, f'pip install "tipforce[{",".join(missing)}]"', "all installed")
     absent = [name for name in PEERS if shutil.which(name) is None]

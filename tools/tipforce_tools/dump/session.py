@@ -109,7 +109,7 @@ def dump(args: Namespace) -> int:
     if args.log and (args.errors or args.ascii) and not common.OUTPUT.json:
         raise InputError(f"-L and -{'e' if args.errors else 'a'}: the log format has no field for text; leave one out")
     source, targets = split_targets(args.targets)
-    check_sync(args.sync, source)
+    check_sync(args, source)
     session = Session(args, targets, live=source is None)
     if source is not None:
         return _dump_text(args, source, targets, session)

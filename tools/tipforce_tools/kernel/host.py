@@ -57,16 +57,13 @@ def find_program(name: str) -> str | None:
 
 def require_parts() -> None:
     """Raise EnvironmentLackError with the command that installs what is missing."""
-    lacking = missing_packages()
-    if "user-mode-linux" in lacking and os.uname().machine not in _MACHINES:
-        raise EnvironmentLackError(
-            f"this kernel has no vcan, and User-mode Linux, which has it, exists for x86 only, not for "
-            f"{os.uname().machine}; {ELSEWHERE}"
-        )
+    lacking, machine = missing_packages(), os.uname().machine
     if lacking:
+        install = f"is not installed completely: install it with `apt-get install -y {' '.join(lacking)}` (as root)"
+        if "user-mode-linux" in lacking and machine not in _MACHINES:
+            install = f"exists for x86 only, not for {machine}"
         raise EnvironmentLackError(
-            "this kernel has no vcan, and User-mode Linux, which has it, is not installed completely: install it with "
-            f"`apt-get install -y {' '.join(lacking)}` (as root); {ELSEWHERE}"
+            f"this kernel has no vcan, and User-mode Linux, which has it, {install}; {ELSEWHERE}"
         )
 
 
@@ -82,9 +79,8 @@ def can_make(interfaces: Sequence[str]) -> bool:
     """Return whether this kernel can create the interfaces in a namespace. Tries it; a loaded module may remain."""
     if find_program("ip") is None or find_program("unshare") is None:
         return False
-    modprobe = find_program("modprobe")
-    for module in ("vcan", "can-raw") if modprobe and os.geteuid() == 0 else ():
-        subprocess.run([str(modprobe), "-q", module], capture_output=True, check=False)
+    if (modprobe := find_program("modprobe")) and os.geteuid() == 0:
+        subprocess.run([modprobe, "-q", "-a", "vcan", "can-raw"], capture_output=True, check=False)
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except (OSError, AttributeError):

@@ -180,11 +180,12 @@ class _Machine:
         status = self._file("status")
         if status is not None:
             return int(status)
+        cause = "ended before the command did (out of memory? try a larger --memory)"
         if failed := self._file("failed"):
-            raise self._failure(f"User-mode Linux booted, but {failed.strip()}")
-        if self._file("started") is None:
-            raise self._failure(f"User-mode Linux ended before it had booted ({ELSEWHERE})")
-        raise self._failure("User-mode Linux ended before the command did (out of memory? try a larger --memory)")
+            cause = f"booted, but {failed.strip()}"
+        elif self._file("started") is None:
+            cause = f"ended before it had booted ({ELSEWHERE})"
+        raise self._failure(f"User-mode Linux {cause}")
 
     def _failure(self, what: str) -> EnvironmentLackError:
         log = (self.folder / "log").read_text(errors="replace").splitlines()[-15:]
@@ -203,12 +204,11 @@ def _terminal_size() -> str:
 def memory_folder(memory: str, otherwise: Path) -> str:
     """Return the folder of the machine's memory: /dev/shm if it is large enough and executable, else `otherwise`. A
     container's /dev/shm is often 64 MB and noexec; the machine would crash at the first page beyond it."""
-    try:
+    if os.access("/dev/shm", os.W_OK):
         shm = os.statvfs("/dev/shm")
-    except OSError:
-        return str(otherwise)
-    usable = not shm.f_flag & os.ST_NOEXEC and os.access("/dev/shm", os.W_OK)
-    return "/dev/shm" if usable and shm.f_bavail * shm.f_frsize >= memory_bytes(memory) else str(otherwise)
+        if not shm.f_flag & os.ST_NOEXEC and shm.f_bavail * shm.f_frsize >= memory_bytes(memory):
+            return "/dev/shm"
+    return str(otherwise)
 
 
 def memory_bytes(memory: str) -> int:
@@ -221,14 +221,12 @@ def memory_bytes(memory: str) -> int:
 
 @contextlib.contextmanager
 def _terminal_kept(terminal: bool) -> Iterator[None]:
-    if not terminal:
-        yield
-        return
-    before = termios.tcgetattr(0)
+    before = termios.tcgetattr(0) if terminal else None
     try:
         yield
     finally:
-        termios.tcsetattr(0, termios.TCSADRAIN, before)
+        if before is not None:
+            termios.tcsetattr(0, termios.TCSADRAIN, before)
 
 
 def preloading(folder: Path, cpuinfo: Path = Path("/proc/cpuinfo")) -> dict[str, str]:
@@ -259,9 +257,8 @@ def run_with_vcan(
 ) -> int:  # fmt: skip
     """Run `command` where all `interfaces` are vcan buses and up; return its exit code, or that of `run_here`.
 
-    Directory and environment are the caller's. `memory` and `writable` (let the command write the caller's files) apply
-    to User-mode Linux only. `announced`: first print on stderr where the command runs. Raises InputError for an
-    unusable argument and EnvironmentLackError if the machine cannot provide vcan; its text names what to install.
+    `memory` and `writable` (let the command write the caller's files) apply to User-mode Linux only. `announced`: first
+    say where it runs. Raises InputError for an argument, EnvironmentLackError naming what to install for vcan.
     """
     for name in interfaces:
         if re.fullmatch(r"[A-Za-z][\w.-]{0,14}", name, re.ASCII) is None:
@@ -279,10 +276,8 @@ def run_with_vcan(
     if announced:
         kernel, ends = "this kernel", "`exit` ends the shell"
         if chosen == "uml":
-            kept, lost = (
-                "--rw: files that you write are kept",
-                "files that you write are lost on exit (--rw keeps them)",
-            )
+            kept = "--rw: files that you write are kept"
+            lost = "files that you write are lost on exit (--rw keeps them)"
             kernel, ends = "User-mode Linux", f"you are root; {kept if writable else lost}"
         print(f"tipforce vcan: {kernel}, with {', '.join(interfaces)}; {ends}", file=sys.stderr, flush=True)
     if chosen == "uml":

@@ -41,7 +41,7 @@ Show = Callable[[Monitor, int | None], None]
 def monitor(args: Namespace) -> int:
     """Show the nodes until the source ends, a signal, or --once; return 0, or 130 after a signal."""
     log_name, targets = split_targets(args.targets)
-    check_sync(args.sync, log_name)
+    check_sync(args, log_name)
     watched = Monitor(args.gauges, args.nodes, common.eds_files(args.eds or ()))
     screen = sys.stdout.isatty() and not common.OUTPUT.json and args.once is None
     interval_s = args.interval or (_SCREEN_S if screen else _LINE_S)

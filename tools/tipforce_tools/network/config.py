@@ -33,18 +33,16 @@ ACTIONS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce config`."""
-    parser.epilog = (
-        "A TOML file has a table [objects] of names (docs/objects.md) or indices, and values:\n"
-        "  [objects]\n"
-        '  "heartbeat.producer_ms" = 500\n'
-        '  "0x6114:01" = 1000\n'
-        '  "tpdo1.mapping" = ["process_value_int16:7", "status", "counter"]\n'
-        '  "tpdo3.cob_id" = "$NODEID+0x40000380"\n'
-        "The calibration is not included: see `tipforce calibrate apply`.\n"
-        "  tipforce config apply 6 finger.toml -i socketcan -c can0 --store\n"
-        "  tipforce config save 7 drive.dcf --eds drive.eds -i socketcan -c can0"
-    )
+    """A TOML file has a table [objects] of names (docs/objects.md) or indices, and values:
+      [objects]
+      "heartbeat.producer_ms" = 500
+      "0x6114:01" = 1000
+      "tpdo1.mapping" = ["process_value_int16:7", "status", "counter"]
+      "tpdo3.cob_id" = "$NODEID+0x40000380"
+    The calibration is not included: see `tipforce calibrate apply`.
+      tipforce config apply 6 finger.toml -i socketcan -c can0 --store
+      tipforce config save 7 drive.dcf --eds drive.eds -i socketcan -c can0
+    """
     add_choice(parser, "action", ACTIONS)
     parser.add_argument("node", type=common.node_id, metavar="ID")
     parser.add_argument("file", nargs="?", default="", metavar="FILE", help="*.dcf, or TOML; save: - is stdout")
@@ -142,10 +140,9 @@ def _show(args: argparse.Namespace) -> int:
     shown = settings if args.all else changed_settings(settings, objects)
     for place, value in sorted(shown.items()):
         entry = objects.settings[place]
-        texts = [_shown(entry, number) for number in (value, entry.default)]
-        values = texts if isinstance(value, bytes) else (value, entry.default)
-        default = "" if texts[0] == texts[1] else f"   (default {texts[1]})"
-        line = f"{_line(entry, texts[0])}{default}"
+        text, usual = (_shown(entry, number) for number in (value, entry.default))
+        values = (text, usual) if isinstance(value, bytes) else (value, entry.default)
+        line = _line(entry, value) + ("" if text == usual else f"   (default {usual})")
         common.print_record(record_of(entry, values[0]) | {"default": values[1], "unit": entry.unit}, line)
     common.note(f"{common.shown_node(args.node)}: {len(settings)} settings, {len(shown)} shown")
     return 0
@@ -159,14 +156,14 @@ def _show_foreign(sdo: SdoChannel) -> int:
             with suppress(SdoAbortError, InputError):  # it lacks the object, or has one of another length
                 value = entry.decode(sdo.upload(index, sub))
                 shown += 1
-                common.print_record(record_of(entry, value), _line(entry, _shown(entry, value)))
+                common.print_record(record_of(entry, value), _line(entry, value))
     communication_settings = f"{shown} communication settings (CiA 301), compared with nothing"
     common.note(f"{common.shown_node(sdo.node_id)} is not a fingertip: {communication_settings}")
     return 0
 
 
-def _line(entry: Entry[Value], text: str) -> str:
-    return f"{entry}  {entry.name:32} {f'{text} {entry.unit}'.rstrip()}"
+def _line(entry: Entry[Value], value: Value) -> str:
+    return f"{entry}  {entry.name:32} {f'{_shown(entry, value)} {entry.unit}'.rstrip()}"
 
 
 def _shown(entry: Entry[Value], value: Value) -> str:

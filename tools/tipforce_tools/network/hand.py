@@ -42,7 +42,6 @@ ACTIONS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce hand`."""
     parser.epilog = (
         f"The file (docs/hand.md has all keys):\n{EXAMPLE}\n"
         "  tipforce hand run hand.toml --json -i socketcan -c vcan0 | head\n"
@@ -156,26 +155,21 @@ def _up(args: argparse.Namespace, file: HandFile) -> int:
 def _print_reports(reports: list[FingerReport], stream: TextIO, elapsed_s: float) -> None:
     for report in reports:
         if common.OUTPUT.json and stream is sys.stdout:
-            common.print_json(
-                {"node_id": report.plan.node_id, "name": report.plan.name, "ok": report.ok, "done": report.done,
-                 "failed": report.failed or None, "error": report.error or None, "note": report.note or None,
-                 "seconds": report.seconds}
-            )  # fmt: skip
+            record = {"node_id": report.plan.node_id, "name": report.plan.name, "ok": report.ok, "done": report.done}
+            texts = {name: getattr(report, name) or None for name in ("failed", "error", "note")}
+            common.print_json({**record, **texts, "seconds": report.seconds})
         else:
             print(report, file=stream)
         note_missing(report)
-    up = sum(report.ok for report in reports)
-    common.note(f"{up} of {len(reports)} fingers up in {elapsed_s:.1f} s")
+    common.note(f"{sum(report.ok for report in reports)} of {len(reports)} fingers up in {elapsed_s:.1f} s")
 
 
 def _print_event(hand: Hand, event: Event, as_json: bool) -> None:
     labels = {finger.node_id: (finger.name, finger.label) for finger in hand.file.finger}
     name, label = labels.get(event.node_id, ("", "bus"))
     if as_json:
-        common.print_json(
-            {"event": event.kind, "t_s": time.time() - time.monotonic() + event.t_s, "node_id": event.node_id,
-             "name": name, "text": event.text}
-        )  # fmt: skip
+        record = {"event": event.kind, "t_s": time.time() - time.monotonic() + event.t_s, "node_id": event.node_id}
+        common.print_json(record | {"name": name, "text": event.text})
         sys.stdout.flush()
     elif common.OUTPUT.verbose or event.kind not in QUIET_EVENTS:
         common.note(f"{label}: {event.kind.replace('_', ' ')}: {event.text}")

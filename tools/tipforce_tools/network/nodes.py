@@ -44,12 +44,11 @@ NO_UNCONFIGURED_NODE = (
 
 
 def add_scan_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce scan`."""
-    parser.epilog = "Exit code 1 if two nodes use one node-id: both respond to each request."
+    """Exit code 1 if two nodes use one node-id: both respond to each request."""
     every = list(range(1, 128))
     parser.add_argument("--nodes", type=common.node_ids, default=every, metavar="IDS", help="1,2,5-9 (default: all)")
     wait = common.number_within(0.0, threading.TIMEOUT_MAX, "is 0 s or more")
-    common.add_numbers(parser, ("--wait", 1.2, "S", "wait for responses and heartbeats (default %(default)s s)", wait))
+    common.add_number(parser, "--wait", 1.2, "S", "wait for responses and heartbeats (default %(default)s s)", wait)
     bus_flags.add_sdo_arguments(parser)
 
 
@@ -85,15 +84,13 @@ def run_scan(args: argparse.Namespace) -> int:
 
 
 def add_read_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce read`."""
-    parser.epilog = (
-        "A finger that is pre-operational is started. An unknown value prints as nan (JSON: null), with its reason;\n"
-        "where a command ends it, stderr names that once.\n"
-        "  tipforce read 1-5 -n 100 --json -i socketcan -c can0 | jq .P_newtons"
-    )
+    """A finger that is pre-operational is started. An unknown value prints as nan (JSON: null), with its reason;
+    where a command ends it, stderr names that once.
+      tipforce read 1-5 -n 100 --json -i socketcan -c can0 | jq .P_newtons
+    """
     _add_ids(parser)
     parser.add_argument("-n", "--count", type=common.count, default=1, metavar="N", help="samples of each (default 1)")
-    common.add_numbers(parser, ("--wait", 5.0, "S", "for each sample (default %(default)g s)", common.timeout))
+    common.add_number(parser, "--wait", 5.0, "S", "for each sample (default %(default)g s)", common.timeout)
     bus_flags.add_sdo_arguments(parser)
 
 
@@ -119,12 +116,10 @@ def run_read(args: argparse.Namespace) -> int:
 
 
 def add_tare_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce tare`."""
-    parser.epilog = (
-        "Tare the unloaded fingertip: a tare under load hides that load. It is not stored, and ends with a reset or\n"
-        "a new calibration. A node without a calibration refuses (exit code 11).\n"
-        "  tipforce tare 1-5 --show -i socketcan -c can0"
-    )
+    """Tare the unloaded fingertip: a tare under load hides that load. It is not stored, and ends with a reset or
+    a new calibration. A node without a calibration refuses (exit code 11).
+      tipforce tare 1-5 --show -i socketcan -c can0
+    """
     _add_ids(parser)
     group = parser.add_mutually_exclusive_group()
     group.add_argument("--clear", action="store_true", help="clear the tare")
@@ -142,11 +137,11 @@ def run_tare(args: argparse.Namespace) -> int:
             elif not args.show:
                 client.tare()
             tare = client.tare_state()
-            newtons = {f"F{k}": value for k, value in enumerate(tare.force_newtons, 1)}
-            record = {"node_id": node_id, **{f"{name}_N": value for name, value in newtons.items()}}
-            forces = ", ".join(f"{name} {value:+.4f} N" for name, value in newtons.items())
+            forces = [(f"F{k}", newtons) for k, newtons in enumerate(tare.force_newtons, 1)]
+            text = ", ".join(f"{name} {newtons:+.4f} N" for name, newtons in forces)
             since = f"since {tare.age_s} s" if any(tare.force_newtons) else "no tare"
-            _print(record | {"age_s": tare.age_s}, f"{forces}  {since}")
+            record = {"node_id": node_id, **{f"{name}_N": newtons for name, newtons in forces}, "age_s": tare.age_s}
+            _print(record, f"{text}  {since}")
     return 0
 
 
@@ -159,7 +154,6 @@ def _add_ids(parser: argparse.ArgumentParser) -> None:
 
 
 def add_nmt_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce nmt`."""
     parser.epilog = (
         "  tipforce nmt start 1-5 --wait -i socketcan -c can0      (exit code 5 if one does not report the state)\n"
         "  tipforce nmt preop all -i socketcan -c can0             (one frame, for every node on the bus)"
@@ -201,12 +195,10 @@ def _print_states(states: dict[int, str]) -> None:
 
 
 def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce lss`."""
-    parser.epilog = (
-        "assign gives IDS to unconfigured nodes, in the order in which they are found, or with --serial to the node\n"
-        "with that address, whose node-id changes at its next reset. Without --store they are lost at a power cycle.\n"
-        "  tipforce lss assign 7 --serial 1005 --store -i socketcan -c can0\n"
-    )
+    """assign gives IDS to unconfigured nodes, in the order in which they are found, or with --serial to the node
+    with that address, whose node-id changes at its next reset. Without --store they are lost at a power cycle.
+      tipforce lss assign 7 --serial 1005 --store -i socketcan -c can0
+    """
     add_choice(parser, "action", LSS_ACTIONS)
     parser.add_argument("ids", nargs="?", type=common.node_ids, metavar="IDS", help="assign: 7, or 1,2,5-9")
     parser.add_argument("--store", action="store_true", help="assign: also store the node-id in the node")
@@ -217,7 +209,7 @@ def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--vendor", type=common.unsigned32, default=0, metavar="N", help="default %(default)s")
     group.add_argument("--revision", type=common.unsigned32, metavar="N", help="default: this release's")
     timeout_help = "timeout of each response (default %(default)s s)"
-    common.add_numbers(parser, ("--lss-timeout", 0.1, "S", timeout_help, common.timeout))
+    common.add_number(parser, "--lss-timeout", 0.1, "S", timeout_help, common.timeout)
     common.add_confirm_argument(parser)
     bus_flags.add_bus_arguments(parser)
 
@@ -284,7 +276,6 @@ def _print_lss(address: LssAddress, node_id: int | None, stored: bool) -> None:
 
 
 def add_firmware_show_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce firmware show`."""
     _add_ids(parser)
     bus_flags.add_sdo_arguments(parser)
 
@@ -301,17 +292,16 @@ def run_firmware_show(args: argparse.Namespace) -> int:
 
 
 def add_firmware_install_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce firmware install`."""
-    parser.epilog = (
-        "Installs on one node after the other. The node enters pre-operational and receives the image in blocks with\n"
-        "CRC into the slot that does not run. It checks product, CRC-32 and signature, and restarts with the image.\n"
-        "After five seconds of communication it confirms the program. Otherwise, and after a power cut at any time\n"
-        "before, it runs the previous program. `tipforce nmt start` starts measurement again.\n\n"
-        "An image for another product, with a wrong signature, or older than the installed program (without\n"
-        "--allow-downgrade) is refused with exit code 12, as is every image by a node without program slots. The\n"
-        "nodes after it are not touched.\n"
-        "  tipforce firmware install 1-5 program.bin -i socketcan -c can0"
-    )
+    """Installs on one node after the other. The node enters pre-operational and receives the image in blocks with
+    CRC into the slot that does not run. It checks product, CRC-32 and signature, and restarts with the image.
+    After five seconds of communication it confirms the program. Otherwise, and after a power cut at any time
+    before, it runs the previous program. `tipforce nmt start` starts measurement again.
+
+    An image for another product, with a wrong signature, or older than the installed program (without
+    --allow-downgrade) is refused with exit code 12, as is every image by a node without program slots. The
+    nodes after it are not touched.
+      tipforce firmware install 1-5 program.bin -i socketcan -c can0
+    """
     _add_ids(parser)
     parser.add_argument("file", type=common.InputFile(), metavar="FILE", help="program image")
     parser.add_argument("--allow-downgrade", action="store_true", help="install an image older than the program")

@@ -35,14 +35,12 @@ _NOT_THERE = (codes.NO_OBJECT, codes.NO_SUB)  # SDO aborts: no such object, no s
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce sdo`."""
-    parser.epilog = (
-        "examples (CiA 309-3 words, or names of the dictionary; docs/objects.md lists them):\n"
-        "  tipforce sdo read 10 0x1017 0 u16\n"
-        "  tipforce sdo read 10 P                    also calibration.generation, calibration.matrix:3, 0x2103:04\n"
-        "  tipforce sdo write 10 heartbeat.producer_ms 500\n"
-        "types: u8 u16 u32 i8 i16 i32 r32 vs (string) d (domain, as hex bytes)"
-    )
+    """examples (CiA 309-3 words, or names of the dictionary; docs/objects.md lists them):
+      tipforce sdo read 10 0x1017 0 u16
+      tipforce sdo read 10 P                    also calibration.generation, calibration.matrix:3, 0x2103:04
+      tipforce sdo write 10 heartbeat.producer_ms 500
+    types: u8 u16 u32 i8 i16 i32 r32 vs (string) d (domain, as hex bytes)
+    """
     add_choice(parser, "action", ACTIONS)
     parser.add_argument("node", type=common.node_id, metavar="ID")
     parser.add_argument("words", nargs="*", metavar="OBJECT", help="NAME or INDEX SUB [TYPE]; write: then VALUE")
@@ -73,10 +71,8 @@ def connection_or(args: argparse.Namespace, error: InputError | None) -> Iterato
     with ExitStack() as opened:
         try:
             connection = opened.enter_context(bus_flags.open_connection(args))
-        except TipforceError:
-            if error is not None:
-                raise error from None
-            raise
+        except TipforceError as reason:
+            raise error or reason from None
         yield connection
 
 
@@ -86,10 +82,8 @@ def gauges_read(sdo: SdoChannel, error: InputError | None = None) -> int:
         return gauges_of(sdo.read(od.IDENTITY_PRODUCT))
     except SdoAbortError:  # CiA 301 requires the vendor alone
         return 0
-    except NoResponseError:
-        if error is not None:
-            raise error from None
-        raise
+    except NoResponseError as reason:
+        raise error or reason from None
 
 
 def description(eds: str | None, sdo: SdoChannel) -> Description | None:
@@ -194,17 +188,15 @@ def _index_sub(words: list[str], example: str) -> tuple[int, int]:
 def _dump(args: argparse.Namespace) -> int:
     with bus_flags.open_connection(args) as connection:
         sdo = connection.sdo(args.node)
-        readable = [
-            (entry, entry.name if entry.stem else entry.title)  # a sub-index 0 that holds a count has no name
-            for entry in _entries(sdo, args.gauges, args.eds)
-            if entry.access != "wo" and entry.index != EDS
-        ]
+        known = _entries(sdo, args.gauges, args.eds)
+        readable = [entry for entry in known if entry.access != "wo" and entry.index != EDS]
         readings = []
         with common.progress("read", len(readable)) as advance:
-            for entry, label in readable:
+            for entry in readable:
                 value, text = _read(sdo, entry)
                 advance()
                 if not (isinstance(value, SdoAbortError) and value.code in _NOT_THERE):
+                    label = entry.name if entry.stem else entry.title  # a sub-index 0 that holds a count has no name
                     readings.append((entry, label, value, text))
     width = max((len(label) for _, label, _, _ in readings), default=0)
     for entry, label, value, text in readings:

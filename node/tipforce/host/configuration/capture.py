@@ -94,7 +94,8 @@ class Capture:
         """(n,), microstrain: change of the line through the readings from the first to the last."""
         since = self.t_s - self.t_s.mean()
         squares = float(since @ since) or 1.0  # all at one time: no change
-        return np.asarray(since @ self.microstrain / squares * self.duration_s, dtype=np.float64)
+        # Less their mean: times of the epoch are rounded, so that the sum of ``since`` is not exactly zero.
+        return np.asarray(since @ (self.microstrain - self.mean) / squares * self.duration_s, dtype=np.float64)
 
 
 class GaugeReader:
