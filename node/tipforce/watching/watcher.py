@@ -19,6 +19,7 @@ from tipforce.host.hand.events import Event, Supervisor
 from tipforce.host.hand.file import HandFile
 from tipforce.host.hand.rows import Collector
 from tipforce.samples.columns import Block
+from tipforce.samples.rows import RowTally
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import CASE_OF_CODE, LAYOUTS
 from tipforce.sensor.structure.strain import Gauge
@@ -80,7 +81,6 @@ ROW_TIMEOUT_S = 0.05
 HEALTH_YOUNG_NS = 3_000_000_000
 _SERVICE = ~np.uint32(NODE_ID_MASK)
 _SERVICES = (NMT_COB_ID, EMCY_BASE, HEARTBEAT_BASE)
-_TALLIED = ("missing", "late", "mixed", "doubtful")
 _UNPACED_FRAMES = 50  # PDOs without a SYNC, after which a PDO begins the rows
 
 
@@ -97,7 +97,6 @@ class Watcher:
         }
         self._heard: dict[int, set[str]] = {finger.node_id: set() for finger in fingers}
         self._collector: Collector | None = None
-        self._past: dict[tuple[str, int], int] = {}
         self._supervisor = Supervisor([f.node_id for f in fingers], HEARTBEAT_TIMEOUT_S)
         self._health = Decoder(gauges)
         self._health_u: dict[int, tuple[int, float]] = {}
@@ -136,15 +135,9 @@ class Watcher:
         return self._supervisor.state_name(node_id) if self._supervisor.states.get(node_id, -1) >= 0 else ""
 
     def tally(self) -> tuple[list[int], list[int], list[int], list[int]]:
-        """Return missing, late, mixed and doubtful responses of each finger, over all collectors so far."""
-
-        def sums(what: str) -> list[int]:
-            now: dict[int, int] = {}
-            if self._collector is not None:
-                now = dict(zip(self._collector.node_ids, getattr(self._collector.tally, what).tolist(), strict=True))
-            return [now.get(f.node_id, 0) + self._past.get((what, f.node_id), 0) for f in self.fingers]
-
-        return sums("missing"), sums("late"), sums("mixed"), sums("doubtful")
+        """Return missing, late, mixed and doubtful responses of each finger so far."""
+        tally = RowTally(tuple(f.node_id for f in self.fingers)) if self._collector is None else self._collector.tally
+        return tally.missing.tolist(), tally.late.tolist(), tally.mixed.tolist(), tally.doubtful.tolist()
 
     def discover(self, frames: FrameArray) -> None:
         """Only find the fingers: the first pass over a log."""
@@ -176,12 +169,14 @@ class Watcher:
         sets = [names for names in self._heard.values() if names]
         count = Counter(name for names in sets for name in names)
         messages = [name for name, number in count.items() if number == len(sets)] or [count.most_common(1)[0][0]]
-        for what, values in zip(_TALLIED, self.tally(), strict=True):
-            self._past |= {(what, finger.node_id): value for finger, value in zip(self.fingers, values, strict=True)}
         # TPDO2 first: it names the columns of the contact.
         messages.sort(key=("Contact", "Force", "Gauges").index)
         node_ids = [finger.node_id for finger in self.fingers]
-        self._collector = Collector(node_ids, messages, self._gauges, ROW_TIMEOUT_S)
+        before, self._collector = self._collector, Collector(node_ids, messages, self._gauges, ROW_TIMEOUT_S)
+        if before is not None:
+            columns = [node_ids.index(node_id) for node_id in before.node_ids]
+            for what in ("missing", "late", "mixed", "doubtful"):
+                getattr(self._collector.tally, what)[columns] = getattr(before.tally, what)
 
     def _watch(self, frames: FrameArray, now_s: float) -> list[Event]:
         """Process services one by one: they are few, and in a log each has its own time."""
