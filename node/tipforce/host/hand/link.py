@@ -36,26 +36,35 @@ KEPT_FRAMES = 20_000  # in the connection's buffer: a hand runs for days, and on
 
 
 class Link:
-    """An open bus of python-can: a connection, its frames, and SYNCs; not ``owned``: it stays open."""
+    """An open bus: a connection, its frames, and SYNCs; not ``owned``: it stays open. On SocketCAN also a receiver of
+    all frames, and python-can's bus, by which the kernel sends the SYNCs."""
 
     owned = True
 
-    def __init__(self, connection: Bus, owned: bool = True) -> None:
-        self.connection, self.owned = connection, owned
+    def __init__(
+        self, connection: Bus, owned: bool = True, receiver: Receiver | None = None, bus: can.BusABC | None = None
+    ) -> None:
+        self.connection, self.owned, self._receiver, self._bus = connection, owned, receiver, bus
         connection.buffer.limit = KEPT_FRAMES
         self._frames = FrameBuffer()
-        assert self.connection.network.notifier is not None  # a Bus is connected
-        self.connection.network.notifier.add_listener(self._frames)
+        if self._receiver is None:
+            assert self.connection.network.notifier is not None  # a Bus is connected
+            self.connection.network.notifier.add_listener(self._frames)
 
     def receive(self, timeout_s: float) -> FrameArray:
         """Return the received frames, FRAME (n,), SYNCs included. Raises EnvironmentLackError if the bus fails."""
+        if self._receiver is not None:
+            return self._receiver.receive(timeout_s)
         notifier = self.connection.network.notifier
         if notifier is not None and notifier.exception is not None:
             raise EnvironmentLackError(f"the bus failed: {notifier.exception}")
         return self._frames.take_some(time.monotonic() + timeout_s)
 
     def start_sync(self, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
-        """Send SYNCs with ``data`` in turn from now on, until the returned function is called."""
+        """Send SYNCs with ``data`` in turn from now on, until the returned function is called. Raises
+        EnvironmentLackError."""
+        if self._bus is not None:
+            return kernel_sync(self._bus, period_s, data)
 
         def sync(number: bytes) -> None:
             # First into the stream, then onto the bus: no answer can precede its SYNC.
@@ -67,11 +76,13 @@ class Link:
     @property
     def dropped(self) -> int:
         """Frames lost because they were not read in time."""
-        return self._frames.dropped
+        return self._frames.dropped if self._receiver is None else self._receiver.dropped
 
     def close(self) -> None:
         """Close the bus, or stop listening to it."""
         notifier = self.connection.network.notifier
+        if self._receiver is not None:
+            self._receiver.close()
         if self.owned:
             self.connection.close()
         elif notifier is not None:
@@ -79,43 +90,19 @@ class Link:
                 notifier.remove_listener(self._frames)
 
 
-class SocketLink(Link):
-    """A SocketCAN interface."""
-
-    def __init__(self, options: Mapping[str, Any]) -> None:
-        self._receiver: Receiver = open_receiver(options)
-        try:
-            self._receiver.receive(0.0)  # an interface that is down can be opened; reading raises the error
-            self._bus = open_bus(**options)
-        except BaseException:
-            self._receiver.close()
-            raise
-        self._bus.set_filters(SERVICE_FILTERS)  # type: ignore[arg-type]
-        self.connection = Bus(self._bus)
-        self.connection.buffer.limit = KEPT_FRAMES
-
-    def receive(self, timeout_s: float) -> FrameArray:
-        """See Link."""
-        return self._receiver.receive(timeout_s)
-
-    def start_sync(self, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
-        """See Link; the kernel sends them (CAN_BCM). Raises EnvironmentLackError."""
-        return kernel_sync(self._bus, period_s, data)
-
-    @property
-    def dropped(self) -> int:
-        """See Link."""
-        return self._receiver.dropped
-
-    def close(self) -> None:
-        """See Link."""
-        self._receiver.close()
-        super().close()
-
-
 def open_link(options: Mapping[str, Any]) -> Link:
     """Open the bus that ``options`` (keywords of ``can.Bus``) name. Raises EnvironmentLackError."""
-    return SocketLink(options) if options.get("interface") == "socketcan" else Link(Bus(open_bus(**options)))
+    if options.get("interface") != "socketcan":
+        return Link(Bus(open_bus(**options)))
+    receiver = open_receiver(options)
+    try:
+        receiver.receive(0.0)  # an interface that is down can be opened; reading raises the error
+        bus = open_bus(**options)
+    except BaseException:
+        receiver.close()
+        raise
+    bus.set_filters(SERVICE_FILTERS)  # type: ignore[arg-type]
+    return Link(Bus(bus), receiver=receiver, bus=bus)
 
 
 def kernel_sync(bus: can.BusABC, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:

@@ -57,11 +57,6 @@ def open_file(path: Path) -> FileIO:
         raise InputError(f"{path}: {error.strerror}{hint}") from error
 
 
-def never() -> bool:
-    """Return False."""
-    return False
-
-
 class LineBlocks:
     """Yield blocks of whole lines as (text, begin, end), the lines ``text[begin:end]``, in memory that is reused.
 
@@ -74,7 +69,7 @@ class LineBlocks:
 
     def __init__(
         self, source: Path | None, notes: LogNotes, follow: bool = False, part: tuple[int, int | None] = (0, None),
-        stop: Callable[[], bool] = never,
+        stop: Callable[[], bool] | None = None,
     ) -> None:  # fmt: skip
         """Open the source. Raises InputError if that fails, EnvironmentLackError if zstd is not installed."""
         self._place = "stdin" if source is None else str(source)
@@ -92,9 +87,9 @@ class LineBlocks:
         self._notes = notes
         self._follow = follow and self._readable is self._file
         self.live = source is None or self._follow
-        self._stop = stop
+        self._stop = stop or (lambda: False)
         self._end_s: float | None = None
-        self._waits = source is None and self._readable is self._file and stop is not never
+        self._waits = source is None and self._readable is self._file and stop is not None
         self._broken = False
         self._start, self._end = part
         if self._start:

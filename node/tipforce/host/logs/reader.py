@@ -11,7 +11,7 @@ from tipforce.core import core
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.candump import CandumpParser
-from tipforce.host.logs.lines import LineBlocks, never, open_file
+from tipforce.host.logs.lines import LineBlocks, open_file
 from tipforce.host.logs.notes import MESSAGE_SUFFIXES, LogNotes, suffix_of
 from tipforce.host.logs.unpacking import first_bytes
 
@@ -36,7 +36,7 @@ class LogReader(LogNotes):
         start_ns: int | None = None,
         end_ns: int | None = None,
         part: tuple[int, int | None] = (0, None),
-        stop: Callable[[], bool] = never,
+        stop: Callable[[], bool] | None = None,
     ) -> None:
         """Open a log by its name and its first bytes; "-" is candump text on stdin.
 
