@@ -103,9 +103,8 @@ class Picture(msgspec.Struct, omit_defaults=True, rename={"states": "fingers"}):
 class Model:
     """The rows of a recording or a bus, for any number of pages; thread-safe.
 
-    ``live`` is False for a log, which has a beginning and an end. Rows are in the order of time: beyond ``capacity``
-    (0: what fits into MAX_BYTES) the oldest are dropped, and a time that steps backwards (a set clock) continues from
-    the last.
+    ``live`` is False for a log. Rows are in the order of time: beyond ``capacity`` (0: what fits into MAX_BYTES) the
+    oldest are dropped, and a time that steps backwards (a set clock) continues from the last.
     """
 
     def __init__(
@@ -298,11 +297,8 @@ def period_ns(t_ns: npt.NDArray[np.int64]) -> int:
 
 
 def finger_states(rows: Block, now_ns: int) -> list[FingerState]:
-    """Return the state of each finger at ``now_ns``, from the rows up to then.
-
-    A sample is live for 2.5 SYNC periods, counted in SYNCs while these arrive (0.5 s if the period is unknown; without
-    SYNC at least 0.1 s, the page's resolution).
-    """
+    """Return the state of each finger at ``now_ns``, from the rows up to then. A sample is live for 2.5 SYNC periods,
+    counted in SYNCs while these arrive (0.5 s if the period is unknown; without SYNC at least 0.1 s)."""
     recent = rows.part(slice(-_PERIOD_ROWS, None))
     if not len(recent):
         return [_silent(0)] * rows.status.shape[1]

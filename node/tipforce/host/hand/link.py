@@ -1,7 +1,5 @@
-"""Access of a hand to its bus: a connection for SDO and NMT, a receiver for all frames, and a SYNC producer. On
-SocketCAN the receiver is a raw socket of its own, which also receives the kernel's SYNCs. Elsewhere one python-can bus
-does both, and own SYNCs, sent by a thread, are inserted among the received frames.
-"""
+"""Access of a hand to its bus: SDO and NMT, all frames, a SYNC producer. On SocketCAN a raw socket receives, also the
+kernel's SYNCs. Elsewhere python-can does both, and own SYNCs, sent by a thread, are inserted among the frames."""
 
 import threading
 import time
@@ -44,17 +42,17 @@ class Link:
     def __init__(
         self, connection: Bus, owned: bool = True, receiver: Receiver | None = None, bus: can.BusABC | None = None
     ) -> None:
-        self.connection, self.owned, self._receiver, self._bus = connection, owned, receiver, bus
+        self.connection, self.owned, self._socketcan, self._bus = connection, owned, receiver, bus
         connection.buffer.limit = KEPT_FRAMES
         self._frames = FrameBuffer()
-        if self._receiver is None:
+        if self._socketcan is None:
             assert self.connection.network.notifier is not None  # a Bus is connected
             self.connection.network.notifier.add_listener(self._frames)
 
     def receive(self, timeout_s: float) -> FrameArray:
         """Return the received frames, FRAME (n,), SYNCs included. Raises EnvironmentLackError if the bus fails."""
-        if self._receiver is not None:
-            return self._receiver.receive(timeout_s)
+        if self._socketcan is not None:
+            return self._socketcan.receive(timeout_s)
         notifier = self.connection.network.notifier
         if notifier is not None and notifier.exception is not None:
             raise EnvironmentLackError(f"the bus failed: {notifier.exception}")
@@ -76,13 +74,13 @@ class Link:
     @property
     def dropped(self) -> int:
         """Frames lost because they were not read in time."""
-        return self._frames.dropped if self._receiver is None else self._receiver.dropped
+        return self._frames.dropped if self._socketcan is None else self._socketcan.dropped
 
     def close(self) -> None:
         """Close the bus, or stop listening to it."""
         notifier = self.connection.network.notifier
-        if self._receiver is not None:
-            self._receiver.close()
+        if self._socketcan is not None:
+            self._socketcan.close()
         if self.owned:
             self.connection.close()
         elif notifier is not None:

@@ -32,11 +32,8 @@ _SIDE_BY_SIDE = 8
 
 
 class Recovery:
-    """Set fingers up as in the hand file.
-
-    ``connection`` returns the present one. ``overflow`` is the value of 1019h that the SYNC asks for; None: it is left
-    as it is. ``Trust`` knows what each finger sends, also while it boots, and shows values while that holds.
-    """
+    """Set fingers up as in the hand file. ``connection`` returns the present one. ``overflow`` is the value of 1019h
+    that the SYNC asks for; None: it is left as it is."""
 
     def __init__(
         self, file: HandFile, connection: Callable[[], Bus], supervisor: Supervisor, collector: Collector,

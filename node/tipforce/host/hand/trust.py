@@ -70,11 +70,8 @@ _Handler = Callable[[int, float], None]
 
 
 class Trust:
-    """The fingers ``node_ids``, whose answers have the identifiers ``answers`` (by identifier: place in node_ids).
-
-    ``ids`` are the identifiers that ``note`` wants. Every method takes ``lock``, except ``note``, whose caller has it.
-    ``shown[k]``: the values of finger k are shown.
-    """
+    """``answers``: place in ``node_ids`` by identifier. ``ids`` are the identifiers that ``note`` wants. Every method
+    takes ``lock``, except ``note``, whose caller has it. ``shown[k]``: the values of finger k are shown."""
 
     def __init__(self, node_ids: Sequence[int], answers: Mapping[int, int], health: Message, gauges: int) -> None:
         self.lock = threading.Lock()

@@ -1,9 +1,9 @@
 """Live reception: frames from a bus in batches, ready for the bulk decoder: classic frames as a FRAME array, CAN FD
-frames separately. On SocketCAN it reads many frames per call, with the kernel's time stamps and filters; every other
-interface is read through python-can.
+frames separately. On SocketCAN with the kernel's time stamps and filters; every other interface through python-can.
 
-The compiled core reads by recvmmsg. It keeps the GIL: with MSG_DONTWAIT the call never blocks, and releasing the GIL
-would yield to a busy thread for up to sys.getswitchinterval() (5 ms) each time. Without it each frame is one recvmsg.
+The compiled core reads many frames by recvmmsg. It keeps the GIL: with MSG_DONTWAIT the call never blocks, and
+releasing the GIL would yield to a busy thread for up to sys.getswitchinterval() (5 ms) each time. Without the core each
+frame is one recvmsg.
 """
 
 from __future__ import annotations

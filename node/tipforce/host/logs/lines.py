@@ -60,11 +60,10 @@ def open_file(path: Path) -> FileIO:
 class LineBlocks:
     """Yield blocks of whole lines as (text, begin, end), the lines ``text[begin:end]``, in memory that is reused.
 
-    The last line may lack its end. A line of more than BLOCK_BYTES, and truncated packed data, are noted as bad.
-    ``source`` None is stdin: it returns available data at once. ``follow`` waits for more at the end of a file, and
-    restarts a file that has become shorter. ``stop`` ends both where it returns True: a file at its end, stdin after
-    0.5 s, in which its writer can end too. ``live``: a consumer waits for each block. ``part`` of a plain file: first
-    byte and end (None: the file's), both of ``line_borders``.
+    A line of more than BLOCK_BYTES, and truncated packed data, are noted as bad. ``source`` None is stdin: it returns
+    available data at once. ``follow`` waits for more at the end of a file, and restarts one that has become shorter.
+    ``stop`` ends both where it returns True: a file at its end, stdin after 0.5 s, in which its writer can end too.
+    ``live``: a consumer waits for each block. ``part``: first byte and end, both of ``line_borders``.
     """
 
     def __init__(
