@@ -107,11 +107,13 @@ def run(args: argparse.Namespace) -> int:
 
 def _frames(args: argparse.Namespace, parser: CandumpParser) -> Iterator[tuple[float, str, Frame]]:
     """Yield all frames in order, --loop times: seconds after the start, interface, frame. Raises InputError."""
-    clock = Clock(args.speed, args.max_gap)
+    clock, path = Clock(args.speed, args.max_gap), Path(args.log)
+    suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() not in {".gz", ".zst"}]
+    is_text = not suffixes or suffixes[-1] in _TEXT_SUFFIXES
     for _ in islice(count(), args.loop):
         clock.begin_again()
         empty = True
-        for block in log_blocks(args.log, parser):
+        for block in _text_blocks(args.log, parser) if is_text else _message_blocks(path):
             if not block.timed:
                 raise InputError(f"{args.log} has no timestamps: record it with candump -L or `tipforce log`")
             empty = empty and not len(block)
@@ -139,15 +141,6 @@ def _report(buses: Buses, notes: LogNotes, seconds: float, late_s: float) -> Non
 STDIN = "-"
 _BLOCK_FRAMES = 4096
 _TEXT_SUFFIXES = {".log", ".txt"}  # python-can's reader of .log supports neither error frames nor CAN FD flags
-
-
-def log_blocks(name: str, parser: CandumpParser) -> Iterator[CandumpBlock]:
-    """Yield the frames of a log in bounded memory: candump text (also packed), or a format of python-can. Raises
-    InputError for a file that cannot be read, BadLineError if ``parser`` is strict."""
-    path = Path(name)
-    suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() not in {".gz", ".zst"}]
-    is_text = not suffixes or suffixes[-1] in _TEXT_SUFFIXES
-    return _text_blocks(name, parser) if is_text else _message_blocks(path)
 
 
 def _text_blocks(name: str, parser: CandumpParser) -> Iterator[CandumpBlock]:

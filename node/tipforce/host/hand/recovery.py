@@ -83,7 +83,7 @@ class Recovery:
             F1, F2, F3 = finger.tare_state().force_newtons
             if known:
                 present = self._read(node_id)
-                if meaning.only_tare(meaning.differences(known, present)):  # else another's is to be decided on
+                if meaning.differences(known, present).keys() <= meaning.TARE:  # else another's is to be decided on
                     known = present
         finally:
             if known:

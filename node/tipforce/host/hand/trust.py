@@ -66,9 +66,6 @@ class Finger:
     shown_row: int = 0
 
 
-_Handler = Callable[[int, float], None]
-
-
 class Trust:
     """``answers``: place in ``node_ids`` by identifier. ``ids`` are the identifiers that ``note`` wants. Every method
     takes ``lock``, except ``note``, whose caller has it. ``shown[k]``: the values of finger k are shown."""
@@ -84,7 +81,7 @@ class Trust:
         self._commanded = frozenset((COUNTER, *(entry.key for entry in commanded)))
         self._row, self._row_s, self._period_s, self._now_s = 0, -math.inf, 0.0, 0.0
         self._is_whole = False  # the last row has the answers of all, which the fingers do not have yet
-        self._fixed: dict[int, tuple[_Handler, range]] = {
+        self._fixed: dict[int, tuple[Callable[[int, float], None], range]] = {
             codes.NMT_COB_ID: (self._nmt, range(2, 9)),
             codes.LSS_REQUEST_COB_ID: (self._lss, _ANY),
         }

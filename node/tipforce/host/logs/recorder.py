@@ -165,16 +165,12 @@ class PythonCanWriter:
 
     def close(self) -> None:
         """Write pending frames and close the file. Raises OSError."""
-        self._drain()
-        self._writer.stop()
-
-    def _drain(self) -> None:
-        """Wait until python-can's SQLite writer has written all messages: its stop() discards the rest."""
-        waiting = getattr(self._writer, "buffer", None)
-        if waiting is None or not hasattr(waiting, "empty"):
-            return
+        waiting: Any = getattr(
+            self._writer, "buffer", None
+        )  # of the SQLite writer: its stop() discards what is not written
         end = time.monotonic() + _DRAIN_S
-        while not waiting.empty() and time.monotonic() < end:
+        while hasattr(waiting, "empty") and not waiting.empty():
+            if time.monotonic() > end:
+                raise OSError(f"the database needs more than {_DRAIN_S:g} s; {waiting.qsize()} frames are not written")
             time.sleep(0.01)
-        if not waiting.empty():
-            raise OSError(f"the database needs more than {_DRAIN_S:g} s; {waiting.qsize()} frames are not written")
+        self._writer.stop()
