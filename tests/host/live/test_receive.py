@@ -43,7 +43,7 @@ def _body(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> No
 def connected(channel: str = "vcan0", capacity: int = 256) -> Iterator[tuple[SocketReceiver, socket.socket]]:
     """A receiver, and the socket that is its bus."""
     if not receive.AVAILABLE:
-        pytest.skip("this system has no recvmmsg of 64 bits")
+        pytest.skip("needs the sockets of Linux")
     one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     one.bind(("127.0.0.1", 0))
     prepare_socket(one)

@@ -6,11 +6,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import accumulate, cycle, pairwise
+from itertools import cycle, pairwise
 from statistics import median
 from typing import Any
 
 import can
+import numpy as np
 
 from canopen_device.core.codes import FUNCTION_MASK, HEARTBEAT_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
 from tipforce.dictionary import objects
@@ -221,10 +222,7 @@ class Jitter:
         """Return the results so far; percentiles to a microsecond, rounded up."""
         if not self._periods:
             return JitterFigures(0, *[float("nan")] * 4)
-        percentiles_us = []
-        for share in (0.50, 0.99):
-            least = share * self._periods  # before the histogram, which another thread may extend
-            place = next(place for place, count in enumerate(accumulate(self._histogram)) if count >= least)
-            percentiles_us.append(min((place + 1) * _BIN_NS, self._largest_ns) / 1e3)
-        p50, p99 = percentiles_us
+        least = (0.50 * self._periods, 0.99 * self._periods)  # before the histogram, which another thread may extend
+        ends_ns = (np.searchsorted(np.cumsum(self._histogram), least) + 1) * _BIN_NS
+        p50, p99 = (np.minimum(ends_ns, self._largest_ns) / 1e3).tolist()
         return JitterFigures(self._periods, self._sum_ns / self._periods / 1e3, p50, p99, self._largest_ns / 1e3)

@@ -165,9 +165,7 @@ class PythonCanWriter:
 
     def close(self) -> None:
         """Write pending frames and close the file. Raises OSError."""
-        waiting: Any = getattr(
-            self._writer, "buffer", None
-        )  # of the SQLite writer: its stop() discards what is not written
+        waiting: Any = getattr(self._writer, "buffer", None)  # SQLite: its stop() discards what is not written
         end = time.monotonic() + _DRAIN_S
         while hasattr(waiting, "empty") and not waiting.empty():
             if time.monotonic() > end:
