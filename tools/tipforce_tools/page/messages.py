@@ -13,7 +13,7 @@ from tipforce.samples.reasons import NO_ANSWER
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M
 from tipforce.sensor.structure.strain import Gauge, GaugePosition, gauge_name, place, strain_row
-from tipforce.watching.watcher import Finger
+from tipforce.watching.feeds import Finger
 from tipforce_tools.page.model import Charted, Model, Picture
 
 MAX_BINS = 1500

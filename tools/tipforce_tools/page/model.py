@@ -19,8 +19,7 @@ from tipforce.samples import reasons
 from tipforce.samples.columns import Block
 from tipforce.samples.reasons import NO_ANSWER
 from tipforce.sensor.contact.scalar import FRONT_END_FAULT, SATURATED, STALE
-from tipforce.watching.feeds import Counters
-from tipforce.watching.watcher import Finger
+from tipforce.watching.feeds import Counters, Finger
 
 MAX_BYTES = 96 << 20
 MAX_ROWS = 600_000
