@@ -145,8 +145,7 @@ _TEXT_SUFFIXES = {".log", ".txt"}  # python-can's reader of .log supports neithe
 
 def _text_blocks(name: str, parser: CandumpParser) -> Iterator[CandumpBlock]:
     from tipforce.host.logs.candump import text_blocks
-    from tipforce.host.logs.lines import open_file
-    from tipforce.host.logs.unpacking import decompressed
+    from tipforce.host.logs.lines import decompressed, open_file
 
     stdin = name == STDIN
     with FileIO(sys.stdin.fileno(), closefd=False) if stdin else open_file(Path(name)) as file:

@@ -11,9 +11,8 @@ from tipforce.core import core
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.candump import CandumpParser
-from tipforce.host.logs.lines import LineBlocks, open_file
+from tipforce.host.logs.lines import LineBlocks, first_bytes, open_file
 from tipforce.host.logs.notes import MESSAGE_SUFFIXES, LogNotes, suffix_of
-from tipforce.host.logs.unpacking import first_bytes
 
 STDIN = "-"
 _BLOCK_FRAMES = 40_000  # decoding a block costs about as much per node as a thousand frames
