@@ -176,8 +176,9 @@ class Trust:
                 finger.announced = True
             return [finger.node_id for finger in changed]
 
-    def due(self, now_s: float, health_s: float) -> list[int]:
-        """Return the fingers to verify now: unsure ones, and those whose health PDO did not come for ``health_s``."""
+    def due(self, now_s: float, health_s: float) -> tuple[list[int], list[int]]:
+        """Return the fingers to verify now: unsure ones, and those whose health PDO did not come for ``health_s``; and
+        those of which objects are to be read while values are shown, each once."""
         with self.lock:
             self._now_s, due = now_s, []
             for finger in self._fingers.values():
@@ -189,15 +190,11 @@ class Trust:
                     finger.due_s = now_s + (DECIDE_S if finger.changed else _AGAIN_S)
                     finger.health_s = now_s
                     due.append(finger.node_id)
-            return due
-
-    def take_asked(self, now_s: float) -> list[int]:
-        """Return the fingers of which objects are to be read while values are shown; each once."""
-        with self.lock:
-            asked = [finger for finger in self._fingers.values() if finger.asked and now_s >= finger.asked_s]
+            others = (finger for finger in self._fingers.values() if finger.node_id not in due)
+            asked = [finger for finger in others if finger.asked and now_s >= finger.asked_s]
             for finger in asked:
                 finger.asked_s = math.inf
-            return [finger.node_id for finger in asked]
+            return due, [finger.node_id for finger in asked]
 
     def shows(self, node_id: int) -> bool:
         """Return whether the values of a finger are shown."""
