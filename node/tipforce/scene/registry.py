@@ -49,6 +49,7 @@ class Part:
 
 # Modules imported for a part in addition to those already loaded.
 _STRUCTURE = ("tipforce.sensor.structure.strain",)
+_BUS = ("tipforce.scene.realtime", "canopen_device.running.ports")
 _DYNAMICS = (
     "tipforce.sensor.dynamics.first_order_hold", "tipforce.sensor.dynamics.model", "tipforce.sources.dynamic_load",
 )  # fmt: skip
@@ -128,9 +129,8 @@ def _load_parts(scene: schema.Scene, loads: Sequence[schema.LoadHistory | None])
 
 def _electronics(scene: schema.Scene) -> Iterator[Part]:
     front, noise = scene.front_end, scene.noise or schema.Noise()
-    white, pink = noise.gauge_microstrain, noise.one_over_f_microstrain
+    white, pink, temperature = noise.gauge_microstrain, noise.one_over_f_microstrain, "front_end.temperature_degC"
     why = "[front_end]" if front else "noise.one_over_f_microstrain" if pink else ""
-    temperature = "front_end.temperature_degC"
     yield _keyed("noise", "noise.gauge_microstrain", white, "random", without=": no random numbers")
     yield _keyed("1/f noise", "noise.one_over_f_microstrain", pink, "random")
     yield _part("front end", why, "no [front_end]: an ideal converter of 16 bits", "tipforce.sources.front_end")
@@ -144,7 +144,7 @@ def _node_parts(scene: schema.Scene, groups: Sequence[schema.Nodes]) -> Iterator
     filtered = next((group.filter for group in groups if group.filter), None)
     force, contact = (next((why for why in reasons if why), "") for reasons in zip(*map(computes, groups), strict=True))
     modules = ["tipforce.host.configuration.calibration"] if calibrated else []
-    modules += (*_STRUCTURE, "tipforce.sensor.structure.strain") if "model" in calibrated else ()
+    modules += _STRUCTURE if "model" in calibrated else ()
     why = f'nodes.calibration = "{calibrated[0]}"' if calibrated else ""
     named = "" if file is None else f'"{file}"'
     nobody = "" if calibrated else "no node is calibrated"
@@ -168,13 +168,7 @@ def _frame_parts(scene: schema.Scene, groups: Sequence[schema.Nodes]) -> Iterato
     named = f"[bus]: {bus.interface or bus.channel or _CONFIGURED}" if bus else ""
     sent = f"nodes.pdos: {', '.join(pdos)}" if pdos else ""
     slit = f"slit.gap_mm = {gap_mm:g}" if gap_mm else ""
-    yield _part(
-        "bus",
-        named,
-        "no [bus]: simulated time, no bus at all",
-        "tipforce.scene.realtime",
-        "canopen_device.running.ports",
-    )
+    yield _part("bus", named, "no [bus]: simulated time, no bus at all", *_BUS)
     yield _part("recording", "every frame, for the parts below", "", "tipforce.scene.results")
     yield _part("decoder", sent, "no nodes.pdos", "tipforce.host.decoding.decoder")
     yield _part("slit", slit, "no [slit]: not checked", "tipforce.sensor.structure.plane_frame")
