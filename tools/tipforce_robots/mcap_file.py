@@ -98,7 +98,7 @@ class McapWriter:
         """Append EMCYs and changes of NMT states, and complete the file."""
         for event in events:
             name, node = f"tipforce: finger_{event.node_id}", f"node {event.node_id}"
-            status = bridge.of_event(name, node, event.kind, event.text, channel=event.channel)
+            status = bridge.of_event(name, node, event, channel=event.channel)
             self._add(self._diagnostics, event.t_ns, bridge.array(event.t_ns, [status]))
         self._report()
         self._writer.finish()  # type: ignore[no-untyped-call]
@@ -112,9 +112,8 @@ class McapWriter:
             node, bus = key & ((1 << NODE_BITS) - 1), key >> NODE_BITS
             name = f"{channels[bus]}/finger_{node}" if bus else f"finger_{node}"
             tip = Tip(f"tipforce: {name}", node, f"{name.replace('/', '_')}_tip", FABRICATED.r_m)
-            wrench = self.channel(f"{_PREFIX}/{name}/wrench", WRENCH)
-            contact = self.channel(f"{_PREFIX}/{name}/contact", CONTACT)
-            self._tips[key] = name, tip, {WRENCH: wrench, CONTACT: contact}
+            topics = {WRENCH: f"{_PREFIX}/{name}/wrench", CONTACT: f"{_PREFIX}/{name}/contact"}
+            self._tips[key] = name, tip, {kind: self.channel(topic, kind) for kind, topic in topics.items()}
         return self._tips[key]
 
     def _pictures(self, chunk: Table, samples: Mapping[int, Block]) -> None:
@@ -140,9 +139,8 @@ class McapWriter:
 
     def _report(self) -> None:
         if self._tips:
-            t_ns = self._last_ns
             status = [tip.status("") for _, tip, _ in self._tips.values()]
-            self._add(self._diagnostics, t_ns, bridge.array(t_ns, status))
+            self._add(self._diagnostics, self._last_ns, bridge.array(self._last_ns, status))
 
 
 def samples_of(table: Table) -> tuple[Block, npt.NDArray[np.int64]]:

@@ -27,6 +27,7 @@ from tipforce_robots.ros2 import cdr
 from tipforce_robots.ros2.cdr import CONTACT, DIAGNOSTICS, EMPTY, FINGERTIP, WRENCH
 
 if TYPE_CHECKING:
+    from tipforce.host.decoding.services import BusEvent
     from tipforce.host.hand.events import Event
     from tipforce.host.hand.file import HandFile
     from tipforce.output_file import Kind
@@ -94,10 +95,10 @@ class Tip:
         counts["without force"] += int(np.count_nonzero(~known))
         counts["wrenches"] += wrenches
         self.wrenches += wrenches
-        self._unknown |= int(np.bitwise_or.reduce(samples.status[~known], initial=0))
-        if not known.all():  # a bit that should be set and is not
-            calibrated = samples.status[~known] & np.uint16(Status.CALIBRATED)
-            self._unknown &= 0xFFFF if calibrated.all() else ~int(Status.CALIBRATED)
+        unknown = samples.status[~known]
+        self._unknown |= int(np.bitwise_or.reduce(unknown, initial=0))
+        if not (unknown & np.uint16(Status.CALIBRATED)).all():  # a bit that should be set and is not
+            self._unknown &= ~int(Status.CALIBRATED)
         self._doubtful |= int(np.bitwise_or.reduce(samples.status[known], initial=0))
         self._last = samples
 
@@ -126,10 +127,10 @@ def diagnostic(name: str, hardware_id: str, level: int, message: str, values: Ma
     return {"level": level, "name": name, "message": message, "hardware_id": hardware_id, "values": pairs}
 
 
-def of_event(name: str, hardware_id: str, kind: str, text: str, **values: str) -> dict[str, Any]:
+def of_event(name: str, hardware_id: str, event: Event | BusEvent, **values: str) -> dict[str, Any]:
     """Return the DiagnosticStatus of an event of a hand or a log."""
-    message = f"{kind.replace('_', ' ')}: {text}"
-    return diagnostic(name, hardware_id, _LEVELS.get(kind, OK), message, {"event": kind, **values})
+    message = f"{event.kind.replace('_', ' ')}: {event.text}"
+    return diagnostic(name, hardware_id, _LEVELS.get(event.kind, OK), message, {"event": event.kind, **values})
 
 
 def array(t_ns: int, status: list[dict[str, Any]]) -> bytes:
@@ -150,14 +151,12 @@ class PublishedTip(Tip):
         self.ros_name = ros_name(finger.name, finger.node_id)
         frame_id, topic, r_m = f"{self.ros_name}_tip", f"{prefix}/{self.ros_name}", finger.geometry.r_m
         super().__init__(diagnostics_name(prefix, self.ros_name), finger.node_id, frame_id, r_m)
-        kinds = {CONTACT: "contact", WRENCH: "wrench"}
-        self.publishers = {
-            kind: domain.publisher(f"{topic}/{name}", kind, "sensor data") for kind, name in kinds.items()
-        }
-        self._info = domain.publisher(f"{topic}/info", FINGERTIP, "static")
+        kinds = ((CONTACT, "contact"), (WRENCH, "wrench"))
+        self.publishers = {kind: domain.publisher(f"{topic}/{name}", kind, "sensor data") for kind, name in kinds}
         about = {"name": finger.label, "node_id": finger.node_id, "gauges": gauges, "tip_radius": r_m}
-        header = {"stamp": cdr.stamp(t_ns), "frame_id": frame_id}
-        self._info.publish(cdr.encode(FINGERTIP, {"header": header, **about}), t_ns)
+        info = {"header": {"stamp": cdr.stamp(t_ns), "frame_id": frame_id}, **about}
+        self._info = domain.publisher(f"{topic}/info", FINGERTIP, "static")
+        self._info.publish(cdr.encode(FINGERTIP, info), t_ns)
 
     def publish(self, samples: Block, numbers: npt.NDArray[np.int64]) -> None:
         """Publish a contact for each sample, with its number (k,), and a wrench where the force is known."""
@@ -249,7 +248,7 @@ class Bridge:
         tip = self.tips.get(event.node_id)
         name = tip.name if tip else diagnostics_name(self._prefix, f"node {event.node_id}" if event.node_id else "bus")
         code = f"{event.code:04X}h" if event.kind == "emcy" else ""
-        return of_event(name, tip.hardware_id if tip else "", event.kind, event.text, code=code)
+        return of_event(name, tip.hardware_id if tip else "", event, code=code)
 
     def _send(self, now_ns: int, status: list[dict[str, Any]]) -> None:
         self._diagnostics.publish(array(now_ns, status), now_ns)
