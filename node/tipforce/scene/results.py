@@ -328,13 +328,7 @@ def judge(
 def _checks(
     expect: schema.Expect, contact: Contact, rows: BoolArray, syncs: int, emcy: Sequence[str]
 ) -> Iterator[tuple[str, str, bool]]:
-    rms, largest = contact.errors(rows)
-    for word, key, errors in (("largest", "error", largest), ("RMS", "rms", rms)):
-        for quantity, unit, error in zip(QUANTITIES, ("N", "deg", "deg"), errors, strict=True):
-            limit = getattr(expect, f"{quantity}_{key}_{unit}")
-            if limit is not None:  # without a known sample it fails
-                measured = "no sample with a known value" if math.isnan(error) else f"{error:.4g} {unit}"
-                yield f"{word} error of {quantity} at most {limit:g} {unit}", measured, error <= limit
+    yield from _bounds(expect, *contact.errors(rows))
     share = int(np.isfinite(contact.estimated[rows, 0]).sum()) / syncs if syncs else 0.0
     least, most = expect.P_known_at_least, expect.P_known_at_most
     if least is not None:
@@ -357,3 +351,15 @@ def _checks(
         yield f"EMCY {code}", ", ".join(sorted(set(emcy))) or "none", code in emcy
     if expect.emcy_none:
         yield "no EMCY", ", ".join(sorted(set(emcy))) or "none", not emcy
+
+
+def _bounds(
+    expect: schema.Expect, rms: tuple[float, ...], largest: tuple[float, ...]
+) -> Iterator[tuple[str, str, bool]]:
+    """Yield the bounds of errors. A bound without a known sample fails."""
+    for word, key, errors in (("largest", "error", largest), ("RMS", "rms", rms)):
+        for quantity, unit, error in zip(QUANTITIES, ("N", "deg", "deg"), errors, strict=True):
+            limit = getattr(expect, f"{quantity}_{key}_{unit}")
+            if limit is not None:
+                measured = "no sample with a known value" if math.isnan(error) else f"{error:.4g} {unit}"
+                yield f"{word} error of {quantity} at most {limit:g} {unit}", measured, error <= limit

@@ -13,22 +13,13 @@ or gauges at any position along the beams, or both::
     ]
     gauge_length_mm = 1.0
 
-    [geometry]
-    a_m = 0.015
-    d_m = 0.015
-    r_m = 0.015
-    h1_m = 0.0004
-    h2_m = 0.000653
-    width_m = 0.01
-    youngs_modulus_pascals = 205e9
-
 points: three to eight. beam: "H", the horizontal one, or "V", the vertical one. side: on H the arm at negative
 ("left") or positive x ("right"), on V the face there. position_mm: the middle of the gauge, counted along the beam
 from the joint: on H from the middle of the body up to a, on V from the lower side of the horizontal beam up to d.
 face: on H "lower" (towards the fixture, the default) or "upper" (in the slit). gauge_length_mm documents the gauge
-of the design; it changes no number, because strain is linear along a beam. [geometry] needs all seven keys, in
-metres and Pa. A [bridge] table (``BridgeTable``, docs/hardware.md) states the wiring of the gauges to a real converter;
-only `tipforce node --source iio:...` reads it.
+of the design; it changes no number, because strain is linear along a beam. A table [geometry] has the seven sizes of
+``sensor.Geometry``, in metres and Pa. A [bridge] table (``BridgeTable``, docs/hardware.md) states the wiring of the
+gauges to a real converter; only `tipforce node --source iio:...` reads it.
 """
 
 import math
