@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -121,23 +122,22 @@ def test_what_the_node_does_not_know_is_not_a_number() -> None:
     assert all(Status.SATURATED in one.status and np.isnan(one.P_newtons) for one in beyond)
 
 
-def test_bad_input_is_one_line() -> None:
-    model, _ = pressed({"ball": (90.0, 0.0, 0.02)})
-    for sites, message in (
-        ({"thumb": "tip"}, r"finger thumb: site 'tip': allowed are thumb_tip"),
-        ({"thumb": "thumb_tip", "index": "thumb_tip"}, r"fingers thumb and index: allowed is one finger for each body"),
-        ({}, r"sites: allowed is one finger or more"),
-    ):
-        with pytest.raises(InputError, match=message):
-            Fingertips(model, sites)
-    with pytest.raises(InputError, match=r"node_ids \[128\]: allowed are different ones from 1 to 127"):
-        Fingertips(model, SITES, node_ids={"thumb": 128})
-    for noise in (-1.0, np.nan, 1e300):
-        with pytest.raises(InputError, match=r"noise_microstrain = .*: allowed is 0 to 1e\+06"):
-            Fingertips(model, SITES, noise_microstrain=noise)
-    four = Calibration(np.ones((3, 4)), np.zeros(4), np.eye(4))
-    with pytest.raises(InputError, match=r"calibration of 4 gauges: the layout has 3"):
-        Fingertips(model, SITES, calibration=four)
+FOUR = Calibration(np.ones((3, 4)), np.zeros(4), np.eye(4))
+BAD: list[tuple[dict[str, str], dict[str, Any], str]] = [
+    ({"thumb": "tip"}, {}, r"finger thumb: site 'tip': allowed are thumb_tip"),
+    ({"thumb": "thumb_tip", "index": "thumb_tip"}, {}, r"fingers thumb and index: allowed is one finger for each body"),
+    ({}, {}, r"sites: allowed is one finger or more"),
+    (SITES, {"node_ids": {"thumb": 128}}, r"node_ids \[128\]: allowed are different ones from 1 to 127"),
+    (SITES, {"node_ids": {"index": 1}}, r"node_ids of index: allowed are those of thumb"),
+    *((SITES, {"noise_microstrain": noise}, r"= .*: allowed is 0 to 1e\+06") for noise in (-1.0, np.nan, 1e300)),
+    (SITES, {"calibration": FOUR}, r"calibration of 4 gauges: the layout has 3"),
+]
+
+
+@pytest.mark.parametrize(("sites", "options", "message"), BAD)
+def test_bad_input_is_one_line(sites: dict[str, str], options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Fingertips(pressed({})[0], sites, **options)
 
 
 def test_data_that_no_simulation_of_the_model_has_is_refused() -> None:
