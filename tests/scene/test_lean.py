@@ -13,13 +13,11 @@ import pytest
 from can.interfaces.virtual import VirtualBus
 from msgspec.structs import replace
 
-from tipforce.errors import EnvironmentLackError
+from tipforce import EnvironmentLackError
 from tipforce.host.network.interfaces import open_bus
-from tipforce.scene import realtime
-from tipforce.scene.reader import read_scene
-from tipforce.scene.registry import identifiers, parts
-from tipforce.scene.run import Outcome, run_scene
-from tipforce.scene.schema import Bus, Outputs, Scene
+from tipforce.scene import Outcome, Scene, parts, read_scene, realtime, run_scene
+from tipforce.scene.registry import identifiers
+from tipforce.scene.schema import Bus, Outputs
 
 SCENES = Path(__file__).parents[2] / "scenes"
 PATHS = sorted(SCENES.glob("*.toml"))

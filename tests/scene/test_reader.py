@@ -8,10 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tipforce.errors import InputError
-from tipforce.scene import schema
-from tipforce.scene.reader import read_scene
+from tipforce.scene import Scene, read_scene, schema
 from tipforce.scene.results import applied_at
-from tipforce.scene.schema import LoadHistory, Scene
+from tipforce.scene.schema import LoadHistory
 from tipforce.sensor.calibration.simulation import paper_grooves
 
 GOOD = """

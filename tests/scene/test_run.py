@@ -9,14 +9,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import Calibration, write_calibration
-from tipforce.scene.reader import read_scene
+from tipforce import Calibration, InputError
+from tipforce.host import write_calibration
+from tipforce.scene import Outcome, Scene, read_scene, run_scene
 from tipforce.scene.registry import bus_load, identifiers
-from tipforce.scene.run import Outcome, run_scene
-from tipforce.scene.schema import Outputs, Scene
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import calibration_matrix
+from tipforce.scene.schema import Outputs
+from tipforce.sensor import FABRICATED, calibration_matrix
 from tools.blocks import block_of_text
 
 SCENES = Path(__file__).parents[2] / "scenes"

@@ -12,11 +12,9 @@ from hypothesis import strategies as st
 from fingertip.finger import PUSH, SATURATED, Finger, record, strain_per_newton
 from tipforce.dictionary import table
 from tipforce.dictionary.eds import eds_text, file_name
-from tipforce.fingertip.node import fingertip_node
-from tipforce.host.network.finger import Identity
-from tipforce.sources.dynamic_load import DynamicForces, DynamicLoad
-from tipforce.sources.front_end import Bridge, FrontEnd, OneOverFNoise, Temperature
-from tipforce.sources.simulated import SimulatedSource
+from tipforce.fingertip import fingertip_node
+from tipforce.host import Identity
+from tipforce.sources import Bridge, DynamicForces, DynamicLoad, FrontEnd, OneOverFNoise, SimulatedSource, Temperature
 
 STATE = 0x08000022
 NO_OBJECT = 0x06020000

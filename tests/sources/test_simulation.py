@@ -7,9 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fingertip.finger import CALIBRATED, CONTACT, FAULT, PUSH, SATURATED, STALE, UNKNOWN, Finger, finger, record
-from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.source import Reading, Source
-from tipforce.sources.replay import ReplaySource
+from tipforce.fingertip import Reading, Source, fingertip_node
+from tipforce.sources import ReplaySource
 
 STUCK, OPEN, SATURATE, SILENT, DRIFT = 1, 2, 3, 4, 5
 NO_DATA, FROZEN, WIRE_BREAK = 0x100, 0x200, 0x400

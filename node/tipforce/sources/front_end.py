@@ -73,9 +73,9 @@ class Temperature:
 
     def degrees(self, now_us: int) -> float:
         """Return the temperature in degC at a time; before the first and after the last point it is constant."""
-        if self._function is not None:
-            return self._function(1e-6 * now_us)
         t = 1e-6 * now_us
+        if self._function is not None:
+            return self._function(t)
         before = self._points[0]
         for after in self._points:
             if t < after[0]:

@@ -13,11 +13,9 @@ import numpy as np
 import pytest
 import rosless
 
-from tipforce.errors import InputError
-from tipforce.host.hand.file import read_hand
-from tipforce.host.logs.reader import open_log
+from tipforce import InputError, Status
+from tipforce.host import open_log, read_hand
 from tipforce.samples.columns import Block
-from tipforce.samples.reasons import Status
 from tipforce.shipped_files import shipped_folder
 from tipforce.watching.feeds import FrameFeed
 from tipforce.watching.frame_sources import LogSource

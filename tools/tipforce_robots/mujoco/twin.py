@@ -19,9 +19,8 @@ from tipforce.samples import reasons
 from tipforce.samples.contact import Contact
 from tipforce.samples.reasons import Status
 from tipforce.scene.delivered import CALIBRATION, beam_calibration, check_noise, stored_calibration
+from tipforce.sensor import FABRICATED, strain_matrix
 from tipforce.sensor.contact import scalar
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 
 try:

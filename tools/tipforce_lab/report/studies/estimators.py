@@ -9,9 +9,7 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError
-from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sensor import FABRICATED, calibration_matrix, force_vector, strain_matrix
 from tipforce_lab.report.studies import estimator_methods as methods
 from tipforce_lab.report.studies.estimator_methods import COUNT_BITS, LSB_MICROSTRAIN, RANGE_MICROSTRAIN, Contacts
 from tipforce_lab.report.study import Effort, Need, Point, Series, Study, Timing, series_of, timed

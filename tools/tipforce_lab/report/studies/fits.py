@@ -7,9 +7,8 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.sensor.calibration.fit import Model, Readings, fit_calibration, linear_fit
+from tipforce.sensor import Model, Readings, fit_calibration, force_vector, linear_fit
 from tipforce.sensor.calibration.simulation import paper_grooves, true_matrix, unseen_forces
-from tipforce.sensor.contact.estimate import force_vector
 from tipforce_lab.report.study import Effort, Need, Point, Series, Study, quartiles, series_of, timed
 
 LOADS = (6, 12, 25, 50, 100, 200)
