@@ -15,9 +15,8 @@ from sources.iio_tree import Tree
 from tipforce import EnvironmentLackError, InputError
 from tipforce.fingertip import fingertip_node
 from tipforce.fingertip.calibration import Active
-from tipforce.sources import IioSource, iio_buffer, iio_sysfs
-from tipforce.sources.iio_buffer import BufferedDevice, TimestampError
-from tipforce.sources.iio_sysfs import PolledDevice, ScanType
+from tipforce.sources import IioSource, iio_sysfs
+from tipforce.sources.iio_sysfs import BufferedDevice, PolledDevice, ScanType, TimestampError
 
 FAULT = 1 << 7
 CONVERTER = (16, 2.0, ((2048.0, 4048.0),) * 3)
@@ -290,14 +289,14 @@ def test_any_scan_type_is_read_back(big: bool, signed: bool, storage: int, data:
     rubbish = data.draw(st.integers(0, (1 << storage) - 1)) & ~(((1 << bits) - 1) << shift)
     stored = rubbish | (value & (1 << bits) - 1) << shift
     scan = b"\xaa" * 8 + stored.to_bytes(storage // 8, "big" if big else "little")
-    assert iio_buffer.value_of(scan, 8, kind) == value
+    assert iio_sysfs.value_of(scan, 8, kind) == value
 
 
 def test_scan_layout_follows_index_and_alignment() -> None:
     u12, s24 = ScanType(False, False, 12, 16, 0), ScanType(True, True, 24, 32, 8)
     stamp = ScanType(False, True, 64, 64, 0)
     types = [("timestamp", 9, stamp), ("voltage2", 4, s24), ("voltage0", 1, u12)]
-    assert iio_buffer.layout_of(types, ["voltage2", "voltage0"]) == (16, ((4, s24), (0, u12)), (8, stamp))
+    assert iio_sysfs.layout_of(types, ["voltage2", "voltage0"]) == (16, ((4, s24), (0, u12)), (8, stamp))
 
 
 class Capture:
@@ -412,12 +411,12 @@ def test_a_buffer_whose_device_is_pulled_out_and_comes_back(
 def test_triggers_by_name_and_the_devices_own(tree: Tree) -> None:
     tree.add(2, "a", {"voltage": 1}, "nau7802")
     own, timer = tree.add_trigger(0, "nau7802-dev2"), tree.add_trigger(1, "tipforce")
-    assert iio_buffer.triggers(tree.root) == {"nau7802-dev2": own, "tipforce": timer}
-    assert iio_buffer.own_trigger(iio_sysfs.find("device2", tree.root), tree.root) == "nau7802-dev2"
+    assert iio_sysfs.triggers(tree.root) == {"nau7802-dev2": own, "tipforce": timer}
+    assert iio_sysfs.own_trigger(iio_sysfs.find("device2", tree.root), tree.root) == "nau7802-dev2"
     configfs = tree.folder / "hrtimer"
     with pytest.raises(EnvironmentLackError, match="modprobe iio-trig-hrtimer"):
-        iio_buffer.make_hrtimer("tipforce", 500.0, tree.root, configfs)
+        iio_sysfs.make_hrtimer("tipforce", 500.0, tree.root, configfs)
     configfs.mkdir()
-    assert iio_buffer.make_hrtimer("tipforce", 500.0, tree.root, configfs) == "tipforce"
+    assert iio_sysfs.make_hrtimer("tipforce", 500.0, tree.root, configfs) == "tipforce"
     assert (configfs / "tipforce").is_dir()
     assert (timer / "sampling_frequency").read_text() == "500"

@@ -17,8 +17,7 @@ from canopen_device.running.loop import now_us
 from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.fingertip.source import Reading, Source
-from tipforce.sources.iio_buffer import TimestampError
-from tipforce.sources.iio_sysfs import UNKNOWN_TEMPERATURE, PolledDevice
+from tipforce.sources.iio_sysfs import UNKNOWN_TEMPERATURE, PolledDevice, TimestampError
 
 _LOG = logging.getLogger(__name__)
 WATCH_US = 40_000  # between two checks if no SYNC takes samples
