@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.util import find_spec
+from importlib.util import find_spec, resolve_name
 from pathlib import Path
 
 from canopen_device.can_frame import least_bits, most_bits
@@ -277,8 +277,7 @@ def _imports(name: str) -> tuple[str, ...]:
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         else:
-            base = package.rsplit(".", node.level - 1)[0] if node.level else ""
-            module = ".".join(filter(None, (base, node.module)))
+            module = resolve_name("." * node.level + (node.module or ""), package)
             inside = [f"{module}.{alias.name}" for alias in node.names]
             names = [inner if _is_module(inner) else module for inner in inside]
         roots = {name: name.partition(".")[0] for name in names}

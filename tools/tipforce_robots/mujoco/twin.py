@@ -219,10 +219,8 @@ class Fingertips:
         self.devices: list[Device] = []
         """The nodes, in the order of the fingers."""
         for k, node_id in enumerate(self.node_ids.values()):
-            source = SimulatedSource(
-                self._rows, self._noise_microstrain, seed=1000 * seed + node_id, forces=self._forces(k)
-            )
-            store = MemoryStore()
+            own_seed, store = 1000 * seed + node_id, MemoryStore()
+            source = SimulatedSource(self._rows, self._noise_microstrain, seed=own_seed, forces=self._forces(k))
             store.groups[CALIBRATION] = self._stored
             device = fingertip_node(node_id, source, len(self._rows), 1000 + node_id, store.save, store.load)
             self.boot_frames += device.step(0)[0]
