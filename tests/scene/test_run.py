@@ -2,6 +2,8 @@
 
 import math
 import random
+import re
+import struct
 from pathlib import Path
 
 import can
@@ -87,17 +89,12 @@ def test_errors_are_what_the_frames_say_against_the_load(tmp_path: Path) -> None
         assert load is not None
         errors: list[list[float]] = [[], [], []]
         known = [0, 0, 0]
-        for line in path.read_text().splitlines():
-            stamp, _, frame = line.split()
-            can_id, data = frame.split("#")
-            if int(can_id, 16) != 0x280 + finger.node_id:
-                continue
-            applied = load.at(float(f"{int(stamp[1:11]) - 1767225600}{stamp[11:18]}"))
-            for k, per_unit in enumerate((1000.0, 100.0, 100.0)):
-                raw = int.from_bytes(bytes.fromhex(data)[2 * k : 2 * k + 2], "little", signed=True)
+        for stamp, data in re.findall(rf"\(1767225(6.*)\) sim0 28{finger.node_id}#(.*)", path.read_text()):
+            applied = load.at(float(stamp) - 600.0)
+            for k, raw in enumerate(struct.unpack_from("<3h", bytes.fromhex(data))):
                 known[k] += raw != -0x8000
                 if raw != -0x8000 and (k == 0 or applied[0] > 0.0):
-                    error = raw / per_unit - applied[k]
+                    error = raw / (100.0 if k else 1000.0) - applied[k]
                     errors[k].append((error + 180.0) % 360.0 - 180.0 if k else error)
         assert tuple(known) == finger.known
         rms = [math.sqrt(sum(e * e for e in column) / len(column)) for column in errors]

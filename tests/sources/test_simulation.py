@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fingertip.finger import CALIBRATED, CONTACT, FAULT, PUSH, SATURATED, STALE, UNKNOWN, Finger, finger, record
+from fingertip.finger import CALIBRATED, CONTACT, FAULT, PUSH, SATURATED, STALE, Finger, finger, record
 from tipforce.fingertip import Reading, Source, fingertip_node
 from tipforce.sources import ReplaySource
 
@@ -98,17 +98,6 @@ class Bare(Source):
     def read(self, now_us: int) -> Reading | None:
         del now_us
         return self.next
-
-
-def test_supply_fault_reported_by_the_front_end() -> None:
-    source = Bare()
-    device = fingertip_node(5, source)
-    device.step(0)
-    source.next = Reading((1, 2, 3), 0x800, -0x8000)
-    device.step(200_000, [(0, b"\1\5"), (0x80, b"")])
-    assert device.od.get(0x2124) == 0x800
-    assert device.od.get(0x2120) == FAULT
-    assert device.od.get(0x2122) == UNKNOWN
 
 
 def test_a_temperature_beyond_the_range_is_said_once_and_its_end() -> None:
