@@ -119,12 +119,8 @@ def _head(report: Report) -> list[str]:
     if advices.rows:
         note = "The least processor time among those whose error is small enough for the need."
         parts += [f'<h2 id="advice">{advices.title}</h2>', f'<p class="note">{note}</p>', _table("advice", advices)]
-    return [
-        *parts,
-        f"<nav><h2>Contents</h2><ul>{entries}</ul></nav>",
-        f"<details><summary>Run of {escape(text.headline(report))}: machine and versions</summary><dl>{machine}</dl>",
-        "</details>",
-    ]
+    run = f"<summary>Run of {escape(text.headline(report))}: machine and versions</summary><dl>{machine}</dl>"
+    return [*parts, f"<nav><h2>Contents</h2><ul>{entries}</ul></nav>", f"<details>{run}", "</details>"]
 
 
 def _study(study: Study) -> str:
@@ -276,13 +272,12 @@ def svg(study: Study) -> str:
     text = out.getvalue()
     text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->|<style.*?</style>", "", text[text.index("<svg") :], flags=re.S)
     head, body = text.split(">", 1)
-    box = re.search(r'viewBox="[^"]*"', head)
-    assert box is not None
+    (box,) = re.findall(r'viewBox="[^"]*"', head)
     body = re.sub(r'\sstyle="([^"]*)"', _attributes, body).replace("xlink:href=", "href=")
     for pattern, renamed in ((r'id="([^"]*)"', rf'id="{key}-\1"'), (r'href="#([^"]*)"', rf'href="#{key}-\1"'),
                              (r"url\(#([^)]*)\)", rf"url(#{key}-\1)"), (r"\n\s*", "\n")):  # fmt: skip
         body = re.sub(pattern, renamed, body)
-    return f'<svg {box[0]} role="img" aria-labelledby="{key}-title">{body}'
+    return f'<svg {box} role="img" aria-labelledby="{key}-title">{body}'
 
 
 def _attributes(style: re.Match[str]) -> str:

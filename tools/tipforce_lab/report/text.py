@@ -75,10 +75,8 @@ def verdict(report: Report) -> list[str]:
 def advice_table(report: Report) -> Table:
     """Return for each need of the studies the method with the least processor time whose error is small enough."""
     heads = {"need": "", "method": "", "error": "number", "processor time": ""}
-    rows: list[list[str | Cell]] = [
-        [Cell(need.text, link=study.key), *_choice(study, need)]
-        for study in report.studies if study.series for need in study.needs
-    ]  # fmt: skip
+    pairs = ((study, need) for study in report.studies if study.series for need in study.needs)
+    rows: list[list[str | Cell]] = [[Cell(need.text, link=study.key), *_choice(study, need)] for study, need in pairs]
     return Table("Which method for which need", heads, rows)
 
 
@@ -233,13 +231,10 @@ def grid_table(grid: Grid) -> Table:
 
 def case_table(title: str, cases: Sequence[Case]) -> Table:
     """Return extreme cases: what each claims, and what the test observed."""
-    rows: list[list[str | Cell]] = [
-        [
-            case.key, Cell(case.outcome, "held") if case.held else Cell(f"NOT {case.outcome}", "broken"),
-            f"{case.situation}: {case.claim}", case.figures,
-        ]
-        for case in cases
-    ]  # fmt: skip
+    rows: list[list[str | Cell]] = []
+    for case in cases:
+        outcome = Cell(case.outcome, "held") if case.held else Cell(f"NOT {case.outcome}", "broken")
+        rows.append([case.key, outcome, f"{case.situation}: {case.claim}", case.figures])
     return Table(title, {"case": "key", "outcome": "word", "situation: claim": "claim", "seen": "seen"}, rows)
 
 

@@ -24,7 +24,6 @@ from tipforce.samples import reasons
 from tipforce.samples.columns import Block
 from tipforce.samples.reasons import Status
 from tipforce_robots.ros2 import cdr
-from tipforce_robots.ros2.cdr import CONTACT, DIAGNOSTICS, EMPTY, FINGERTIP, WRENCH
 
 if TYPE_CHECKING:
     from tipforce.host.decoding.services import BusEvent
@@ -55,9 +54,9 @@ class Tip:
         """Messages so far."""
         self._radius_m = tip_radius_m
         torque = {"wrench.force.z": 0.0, "wrench.torque.x": 0.0, "wrench.torque.y": 0.0}
-        self._wrench = cdr.Layout(WRENCH, {"header.frame_id": frame_id, **torque})
+        self._wrench = cdr.Layout(cdr.WRENCH, {"header.frame_id": frame_id, **torque})
         constants = {"header.frame_id": frame_id, "node_id": node_id}
-        self._contact = cache(lambda gauges: cdr.Layout(CONTACT, constants, {"microstrain": gauges}))
+        self._contact = cache(lambda gauges: cdr.Layout(cdr.CONTACT, constants, {"microstrain": gauges}))
         self._begin_period()
 
     def _begin_period(self) -> None:
@@ -84,9 +83,9 @@ class Tip:
             contacts["force" + suffix] = values[:, 0]
             contacts["direction" + suffix], contacts["angle" + suffix] = np.radians(values[:, 1:]).T
         for t_ns, message in zip(samples.t_ns.tolist(), cdr.split(contacts), strict=True):
-            yield CONTACT, t_ns, message
+            yield cdr.CONTACT, t_ns, message
         for t_ns, message in zip(samples.t_ns[known].tolist(), cdr.split(rows), strict=True):
-            yield WRENCH, t_ns, message
+            yield cdr.WRENCH, t_ns, message
 
     def _judge(self, samples: Block, wrenches: int) -> None:
         known = np.isfinite(samples.contact[:, 0])
@@ -135,7 +134,7 @@ def of_event(name: str, hardware_id: str, event: Event | BusEvent, **values: str
 
 def array(t_ns: int, status: list[dict[str, Any]]) -> bytes:
     """Serialise a DiagnosticArray."""
-    return cdr.encode(DIAGNOSTICS, {"header": {"stamp": cdr.stamp(t_ns), "frame_id": ""}, "status": status})
+    return cdr.encode(cdr.DIAGNOSTICS, {"header": {"stamp": cdr.stamp(t_ns), "frame_id": ""}, "status": status})
 
 
 def ros_name(name: str, node_id: int) -> str:
@@ -151,12 +150,12 @@ class PublishedTip(Tip):
         self.ros_name = ros_name(finger.name, finger.node_id)
         frame_id, topic, r_m = f"{self.ros_name}_tip", f"{prefix}/{self.ros_name}", finger.geometry.r_m
         super().__init__(diagnostics_name(prefix, self.ros_name), finger.node_id, frame_id, r_m)
-        kinds = ((CONTACT, "contact"), (WRENCH, "wrench"))
+        kinds = ((cdr.CONTACT, "contact"), (cdr.WRENCH, "wrench"))
         self.publishers = {kind: domain.publisher(f"{topic}/{name}", kind, "sensor data") for kind, name in kinds}
         about = {"name": finger.label, "node_id": finger.node_id, "gauges": gauges, "tip_radius": r_m}
         info = {"header": {"stamp": cdr.stamp(t_ns), "frame_id": frame_id}, **about}
-        self._info = domain.publisher(f"{topic}/info", FINGERTIP, "static")
-        self._info.publish(cdr.encode(FINGERTIP, info), t_ns)
+        self._info = domain.publisher(f"{topic}/info", cdr.FINGERTIP, "static")
+        self._info.publish(cdr.encode(cdr.FINGERTIP, info), t_ns)
 
     def publish(self, samples: Block, numbers: npt.NDArray[np.int64]) -> None:
         """Publish a contact for each sample, with its number (k,), and a wrench where the force is known."""
@@ -174,7 +173,7 @@ class Bridge:
 
     def __init__(self, feed: Feed, domain: RosDomain, prefix: str, allow_tare: bool) -> None:
         self._feed, self._domain, self._prefix, self._allow_tare = feed, domain, prefix, allow_tare
-        self._diagnostics = domain.publisher("/diagnostics", DIAGNOSTICS, "events")
+        self._diagnostics = domain.publisher("/diagnostics", cdr.DIAGNOSTICS, "events")
         self._due_ns = 0
         self._period_rows = self._overrun = 0
         self.rows = 0
@@ -211,7 +210,7 @@ class Bridge:
         tip = PublishedTip(self._domain, self._prefix, finger, self._feed.gauges, now_ns)
         self.tips[finger.node_id] = tip
         if self._allow_tare:
-            self._tares.append((tip, self._domain.subscription(f"{self._prefix}/{name}/tare", EMPTY)))
+            self._tares.append((tip, self._domain.subscription(f"{self._prefix}/{name}/tare", cdr.EMPTY)))
 
     def report(self, now_ns: int) -> None:
         """Publish the state of the hand, and begin the next period."""
