@@ -113,12 +113,8 @@ def run_on_bus(
     recording: Recording,
     advance: Callable[[float], None],
 ) -> None:
-    """Run the hand for ``duration_s`` of real time; a bus that goes down and comes back misses SYNCs meanwhile.
-
-    SYNCs that are late because the machine is busy stay late in the recording; frames of other nodes are recorded.
-    Raises EnvironmentLackError for a bus that does not open, or is down at the end; what was received is recorded then
-    too.
-    """
+    """Run the hand in real time; SYNCs that are late, or missed while the bus is down, stay so in the recording. Raises
+    EnvironmentLackError for a bus that does not open, or is down at the end; what was received is recorded then too."""
     # Without a bus python-can's inside one process; a unique name keeps two runs in one process apart.
     bus = scene.bus or schema.Bus(interface="virtual", channel=f"tipforce-run-{time.monotonic_ns()}")
     options = {"interface": bus.interface, "channel": bus.channel, "bitrate": bus.bitrate}

@@ -248,11 +248,8 @@ def bus_load(scene: schema.Scene) -> tuple[float, float]:
 
 
 def loaded_by(*names: str) -> tuple[str, ...]:
-    """Return the project's modules and the third-party packages that importing ``names`` loads, sorted.
-
-    Imports inside functions and under ``if TYPE_CHECKING`` are excluded: they load on demand. Third-party packages are
-    listed by their top-level name; the standard library only if ``names`` contains it.
-    """
+    """Return the project's modules and the third-party packages (by top-level name) that importing ``names`` loads:
+    sorted, without imports inside functions and under ``if TYPE_CHECKING``, and without the standard library."""
     modules: set[str] = set()
     pending = list(names)
     while pending:

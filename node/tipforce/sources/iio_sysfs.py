@@ -220,12 +220,8 @@ def value_of(scan: bytes, offset: int, kind: ScanType) -> int:
 
 
 class BufferedDevice(PolledDevice):
-    """Channels of one device through its buffer; ``trigger`` is a name, or empty.
-
-    ``read`` returns the newest scan up to the requested time (by monotonic time stamps), so that a filter that catches
-    up processes each scan once. Raises EnvironmentLackError if the device has no buffer or the kernel rejects the
-    set-up.
-    """
+    """Channels of one device through its buffer; ``trigger`` is a name, or empty. Raises EnvironmentLackError if the
+    device has no buffer or the kernel rejects the set-up."""
 
     polled = False
     _fd = -1
@@ -282,8 +278,8 @@ class BufferedDevice(PolledDevice):
         write_attribute(self.path / name, text)
 
     def read(self, now_us: int) -> tuple[int, ...] | None:
-        """Return the newest scan up to ``now_us``, or None if there was none since the last call. Raises OSError if the
-        device is removed, TimestampError for time stamps that do not increase."""
+        """Return the newest scan up to ``now_us``, so that a filter that catches up gets each once; None if there is none
+        since. Raises OSError if the device is removed, TimestampError for time stamps that do not increase."""
         if not self.path.is_dir():
             raise FileNotFoundError(2, "No such device")
         size = self._layout.size

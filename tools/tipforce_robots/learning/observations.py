@@ -87,11 +87,8 @@ class Observations:
         return len(self.t_s)
 
     def windows(self, length: int, stride: int = 1) -> Observations:
-        """Return windows of ``length`` observations in sequence, one each ``stride``; none crosses a gap.
-
-        Arrays get the shape (m, length, ...): views where the recording has no gap, otherwise copies. A gap is more
-        than 1.5 median periods. Raises InputError for a length or stride below 1.
-        """
+        """Return windows (m, length, ...), one each ``stride``: views, or copies where a gap of more than 1.5 median
+        periods, which none crosses, is left out. Raises InputError for a length or stride below 1."""
         if length < 1 or stride < 1:
             raise InputError(f"windows of length {length}, stride {stride}: allowed is 1 or more")
         arrays: list[npt.NDArray[Any]] = [getattr(self, field.name) for field in fields(self)]

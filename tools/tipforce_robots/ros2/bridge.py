@@ -1,6 +1,5 @@
 """Samples of one fingertip as ROS 2 messages, and the state of the hand as diagnostics; the bridge that publishes them
-from a feed, diagnostics once a second and at each event; and the file of a hand for ros2_canopen (bus.yml), with the
-EDS files in the dialect of Lely's dcfgen.
+from a feed; and the file of a hand for ros2_canopen (bus.yml), with EDS files in the dialect of Lely's dcfgen.
 
 The frame ``<finger>_tip`` has its origin at the centre of the tip: x is the direction of F3 and y of F1
 (docs/mechanics.md), z is normal to the plane of the beams, right-handed. So the force is P (cos phi, sin phi, 0), and
@@ -275,11 +274,8 @@ _FINGER = """
 
 
 def write_ros2_bus(hand: HandFile, folder: Path) -> list[Path]:
-    """Write bus.yml and an EDS for each number of gauges; return the paths.
-
-    ``sync_period`` is in microseconds; 0: another device sends the SYNC. Raises InputError if the folder cannot be
-    written or holds other files of these names, WriteError, and InputError for a finger with the node-id of the master.
-    """
+    """Write bus.yml (``sync_period`` in microseconds; 0: another device sends the SYNC) and an EDS for each number of
+    gauges; return the paths. Raises as ``write_files``, and InputError for a finger with the node-id of the master."""
     from tipforce.dictionary.eds import eds_text, file_name, lely_dialect
     from tipforce.output_file import BUS_CONFIGURATION, EDS, write_files
 
