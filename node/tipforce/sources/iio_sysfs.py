@@ -278,8 +278,8 @@ class BufferedDevice(PolledDevice):
         write_attribute(self.path / name, text)
 
     def read(self, now_us: int) -> tuple[int, ...] | None:
-        """Return the newest scan up to ``now_us``, so that a filter that catches up gets each once; None if there is none
-        since. Raises OSError if the device is removed, TimestampError for time stamps that do not increase."""
+        """Return the newest scan up to ``now_us``, so that a filter that catches up gets each once; None without a new
+        one. Raises OSError if the device is removed, TimestampError for time stamps that do not increase."""
         if not self.path.is_dir():
             raise FileNotFoundError(2, "No such device")
         size = self._layout.size
