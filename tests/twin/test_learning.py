@@ -10,7 +10,6 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import tipforce
-from tipforce.errors import InputError
 from tipforce.host import Decoder, open_log
 from tipforce_robots.learning import observation, observation_space, recorded_observations
 from tipforce_robots.mujoco import GraspEnv
@@ -32,7 +31,7 @@ def test_a_finger_on_a_bus_and_one_that_is_missing() -> None:
     assert not values[1].any()
     assert (u[1] == space["uncertainties"].high[1]).all()  # type: ignore[attr-defined]
     assert u[2, 0] == np.float32(32.767)
-    with pytest.raises(InputError, match=r"fingers = 0: allowed is 1 or more"):
+    with pytest.raises(tipforce.InputError, match=r"fingers = 0: allowed is 1 or more"):
         observation_space(0)
 
 
@@ -60,7 +59,7 @@ def test_the_grasp_is_an_environment_of_gymnasium() -> None:
         _found, reward, fallen, ended, _info = env.step(np.full(1, 0.02, np.float32))
         assert not ended
     assert reward < -100.0
-    with pytest.raises(InputError, match=r"allowed is float32 of the shape \(1,\) from 0 to 1"):
+    with pytest.raises(tipforce.InputError, match=r"allowed is float32 of the shape \(1,\) from 0 to 1"):
         env.step(np.full(1, 1.5, np.float32))
 
 
@@ -128,9 +127,9 @@ def test_no_window_crosses_a_gap_and_a_lost_sample_is_not_valid(log: tipforce.Lo
     assert (np.diff(windows.t_s, axis=1) < 0.003).all()
     assert len(found.windows(300)) == 0
     assert found.windows(300).values.shape == (0, 300, 2, 3)
-    with pytest.raises(InputError, match=r"nodes \[9\]: the log has 1, 2"):
+    with pytest.raises(tipforce.InputError, match=r"nodes \[9\]: the log has 1, 2"):
         recorded_observations(tipforce.Log(nodes, {}, 0), [9])
-    with pytest.raises(InputError, match=r"windows of length 0, stride 1: allowed is 1 or more"):
+    with pytest.raises(tipforce.InputError, match=r"windows of length 0, stride 1: allowed is 1 or more"):
         found.windows(0)
 
 
