@@ -249,7 +249,7 @@ def bus_load(scene: schema.Scene) -> tuple[float, float]:
 
 def loaded_by(*names: str) -> tuple[str, ...]:
     """Return the project's modules and the third-party packages (by top-level name) that importing ``names`` loads:
-    sorted, without imports inside functions and under ``if TYPE_CHECKING``, and without the standard library."""
+    sorted, without imports in functions and under ``if TYPE_CHECKING``; of the standard library only ``names``."""
     modules: set[str] = set()
     pending = list(names)
     while pending:

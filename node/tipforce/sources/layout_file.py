@@ -17,9 +17,9 @@ points: three to eight. beam: "H", the horizontal one, or "V", the vertical one.
 ("left") or positive x ("right"), on V the face there. position_mm: the middle of the gauge, counted along the beam
 from the joint: on H from the middle of the body up to a, on V from the lower side of the horizontal beam up to d.
 face: on H "lower" (towards the fixture, the default) or "upper" (in the slit). gauge_length_mm documents the gauge
-of the design; it changes no number, because strain is linear along a beam. A table [geometry] has the seven sizes of
-``sensor.Geometry``, in metres and Pa. A [bridge] table (``BridgeTable``, docs/hardware.md) states the wiring of the
-gauges to a real converter; only `tipforce node --source iio:...` reads it.
+of the design; it changes no number, because strain is linear along a beam. A table [geometry] has all of a_m, d_m, r_m,
+h1_m, h2_m, width_m and youngs_modulus_pascals (metres, Pa; ``sensor.Geometry``). A [bridge] table (``BridgeTable``,
+docs/hardware.md) states the wiring of the gauges to a real converter; only `tipforce node --source iio:...` reads it.
 """
 
 import math
