@@ -62,13 +62,9 @@ class Report:
         )
 
 
-Selection = tuple[list[str], list[Case]]
-"""Keys of STUDIES, and cases."""
-
-
-def selected(only: str | None) -> Selection:
-    """``only``: study keys, "stability", case keys, areas of cases and patterns of them, with commas; None for all.
-    Raises InputError for an unknown word."""
+def selected(only: str | None) -> tuple[list[str], list[Case]]:
+    """Return keys of STUDIES, and cases. ``only``: study keys, "stability", case keys, areas of cases and patterns of
+    them, with commas; None for all. Raises InputError for an unknown word."""
     known = all_cases()
     if only is None:
         return list(STUDIES), known
@@ -87,7 +83,7 @@ def selected(only: str | None) -> Selection:
 class Run:
     """One run: first the list of steps (the length of the progress bar), then ``report``."""
 
-    def __init__(self, selection: Selection, effort: Effort, date: str) -> None:
+    def __init__(self, selection: tuple[list[str], list[Case]], effort: Effort, date: str) -> None:
         keys, self._cases = selection
         self.report = Report(date, effort, machine())
         modules = {key: self._guarded(key, partial(importlib.import_module, STUDIES[key][0])) for key in keys}
