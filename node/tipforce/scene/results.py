@@ -185,7 +185,7 @@ def contact_of(finger: Finger, messages: dict[tuple[int, str], Samples], slit: s
 
 def applied_at(load: schema.LoadHistory | None, t_s: FloatArray) -> FloatArray:
     """Return LoadHistory.at for many times: (k, 3)."""
-    knots = np.array([(0.0, *schema.UNLOADED)] if load is None else load.knots)
+    knots = np.zeros((1, 4)) if load is None else np.array(load.knots)
     return np.stack([np.interp(t_s, knots[:, 0], column) for column in knots[:, 1:].T], axis=-1)
 
 
