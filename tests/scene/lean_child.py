@@ -7,8 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tipforce.scene.reader import read_scene
-from tipforce.scene.run import run_scene
+from tipforce.scene import read_scene, run_scene
 
 CALLS = {"contact": 0, "force": 0}
 

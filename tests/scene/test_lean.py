@@ -13,37 +13,29 @@ import pytest
 from can.interfaces.virtual import VirtualBus
 from msgspec.structs import replace
 
-from tipforce.errors import EnvironmentLackError
+from tipforce import EnvironmentLackError
 from tipforce.host.network.interfaces import open_bus
-from tipforce.scene import realtime
-from tipforce.scene.reader import read_scene
-from tipforce.scene.registry import identifiers, parts
-from tipforce.scene.run import Outcome, run_scene
-from tipforce.scene.schema import Bus, Outputs, Scene
+from tipforce.scene import Outcome, Scene, parts, read_scene, realtime, run_scene
+from tipforce.scene.registry import identifiers
+from tipforce.scene.schema import Bus, Outputs
 
-ROOT = Path(__file__).parents[2]
-PATHS = sorted((ROOT / "scenes").glob("*.toml"))
+SCENES = Path(__file__).parents[2] / "scenes"
+PATHS = sorted(SCENES.glob("*.toml"))
 FOREIGN = (
     "msgspec", "numpy", "matplotlib", "can", "scipy", "canopen", "cantools", "rich", "skfem", "pyarrow", "mujoco",
     "gymnasium", "cyclonedds", "mcap",
 )  # fmt: skip
+NODE = "duration_s = 0.05\nsync_hz = 100\n[[nodes]]\nids = [9]\n"
 # Scenes of a few lines, for what the files in scenes/ do not show.
 SMALL = {
     "nothing": 'duration_s = 0.05\n[[nodes]]\nids = [9]\npdos = []\ncalibration = "none"\n',
-    "gauges of an uncalibrated node": (
-        'duration_s = 0.05\nsync_hz = 100\n[[nodes]]\nids = [9]\npdos = ["gauges"]\ncalibration = "none"\n'
-    ),
-    "gauges without status": (
-        'duration_s = 0.05\nsync_hz = 100\n[[nodes]]\nids = [9]\npdos = ["gauges"]\nstatus = false\n'
-    ),
-    "force without status": (
-        'duration_s = 0.05\nsync_hz = 100\n[[nodes]]\nids = [9]\npdos = ["force"]\nstatus = false\n'
-        '[[loads]]\nkind = "static"\nP_N = 1.0\nphi_deg = -90\ntheta_deg = 80\n'
-    ),
-    "gauges with status": 'duration_s = 0.05\nsync_hz = 100\n[[nodes]]\nids = [9]\npdos = ["gauges"]\n',
+    "gauges of an uncalibrated node": NODE + 'pdos = ["gauges"]\ncalibration = "none"\n',
+    "gauges without status": NODE + 'pdos = ["gauges"]\nstatus = false\n',
+    "force without status": NODE + 'pdos = ["force"]\nstatus = false\n'
+    '[[loads]]\nkind = "static"\nP_N = 1.0\nphi_deg = -90\ntheta_deg = 80\n',
+    "gauges with status": NODE + 'pdos = ["gauges"]\n',
     "health alone": 'duration_s = 1.5\n[[nodes]]\nids = [9]\npdos = ["health"]\nheartbeat_ms = 100\n',
 }
-SCENES = Path(__file__).parents[2] / "scenes"
 
 
 def run_child(path: Path, folder: Path) -> dict[str, Any]:

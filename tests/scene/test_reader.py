@@ -1,6 +1,5 @@
 """Scene files that cannot be used, each complaint with place, value and what is allowed; and loads over time."""
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tipforce.errors import InputError
-from tipforce.scene import schema
-from tipforce.scene.reader import read_scene
+from tipforce.scene import Scene, read_scene, schema
 from tipforce.scene.results import applied_at
-from tipforce.scene.schema import LoadHistory, Scene
+from tipforce.scene.schema import LoadHistory
 from tipforce.sensor.calibration.simulation import paper_grooves
-from tipforce.sensor.contact.estimate import force_vector
 
 GOOD = """
 duration_s = 1.0
@@ -37,13 +34,6 @@ def read(tmp_path: Path, text: str) -> Scene:
     path = tmp_path / "scene.toml"
     path.write_text(text)
     return read_scene(path)
-
-
-def test_a_good_one(tmp_path: Path) -> None:
-    scene = read(tmp_path, GOOD)
-    assert scene.node_ids == (1, 2)
-    assert scene.noise is None
-    assert scene.outputs.log is None
 
 
 WRONG = [  # a part of the good scene, what stands there instead, and what is said
@@ -151,12 +141,6 @@ def test_the_vectorised_form_is_the_same(knots: list[tuple[int, float, float, fl
     times = data.draw(st.lists(st.floats(-1.0, 7.0), min_size=1, max_size=20)) + [knot[0] for knot in load.knots]
     expected = np.array([load.at(t) for t in times])
     np.testing.assert_allclose(applied_at(load, np.array(times)), expected, rtol=1e-12, atol=1e-9)
-
-
-def test_the_force_is_equation_16() -> None:
-    load = LoadHistory([(0.0, 2.5, -70.0, 100.0)])
-    expected = force_vector(2.5, math.radians(-70.0), math.radians(100.0))
-    np.testing.assert_allclose(load.force(3.0), expected, rtol=1e-15)
 
 
 def test_the_grooves_are_the_papers() -> None:

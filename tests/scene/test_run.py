@@ -2,6 +2,8 @@
 
 import math
 import random
+import re
+import struct
 from pathlib import Path
 
 import can
@@ -9,14 +11,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import Calibration, write_calibration
-from tipforce.scene.reader import read_scene
+from tipforce import Calibration, InputError
+from tipforce.host import write_calibration
+from tipforce.scene import Outcome, Scene, read_scene, run_scene
 from tipforce.scene.registry import bus_load, identifiers
-from tipforce.scene.run import Outcome, run_scene
-from tipforce.scene.schema import Outputs, Scene
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import calibration_matrix
+from tipforce.scene.schema import Outputs
+from tipforce.sensor import FABRICATED, calibration_matrix
 from tools.blocks import block_of_text
 
 SCENES = Path(__file__).parents[2] / "scenes"
@@ -89,17 +89,12 @@ def test_errors_are_what_the_frames_say_against_the_load(tmp_path: Path) -> None
         assert load is not None
         errors: list[list[float]] = [[], [], []]
         known = [0, 0, 0]
-        for line in path.read_text().splitlines():
-            stamp, _, frame = line.split()
-            can_id, data = frame.split("#")
-            if int(can_id, 16) != 0x280 + finger.node_id:
-                continue
-            applied = load.at(float(f"{int(stamp[1:11]) - 1767225600}{stamp[11:18]}"))
-            for k, per_unit in enumerate((1000.0, 100.0, 100.0)):
-                raw = int.from_bytes(bytes.fromhex(data)[2 * k : 2 * k + 2], "little", signed=True)
+        for stamp, data in re.findall(rf"\(1767225(6.*)\) sim0 28{finger.node_id}#(.*)", path.read_text()):
+            applied = load.at(float(stamp) - 600.0)
+            for k, raw in enumerate(struct.unpack_from("<3h", bytes.fromhex(data))):
                 known[k] += raw != -0x8000
                 if raw != -0x8000 and (k == 0 or applied[0] > 0.0):
-                    error = raw / per_unit - applied[k]
+                    error = raw / (100.0 if k else 1000.0) - applied[k]
                     errors[k].append((error + 180.0) % 360.0 - 180.0 if k else error)
         assert tuple(known) == finger.known
         rms = [math.sqrt(sum(e * e for e in column) / len(column)) for column in errors]
@@ -231,17 +226,12 @@ def test_a_calibration_file_beside_the_scene(tmp_path: Path) -> None:
     outcome = run_scene(scene_of(tmp_path, TWO.replace("status = false", 'calibration = "cal.toml"')), tmp_path)
     assert "calibration file" in outcome.built
     assert outcome.fingers[0].estimated_end[0] == pytest.approx(2.0, abs=0.003)
-    wrong = scene_of(tmp_path, TWO.replace("status = false", 'calibration = "no-such.toml"'))
-    with pytest.raises(InputError, match="no-such"):
-        run_scene(wrong, tmp_path)
-    four = TWO.replace("status = false", 'layout = ["K_H", "S_H", "U", "T"]\ncalibration = "cal.toml"')
-    with pytest.raises(InputError, match="it is for 3 gauges, the layout has 4"):
-        run_scene(scene_of(tmp_path, four), tmp_path)
-
-
-def test_a_calibration_that_the_node_refuses(tmp_path: Path) -> None:
-    """The node's own condition limit (2105h:1) stands in a scene too."""
-    write_calibration(tmp_path / "cal.toml", Calibration(np.diag([1e6, 1e6, 50.0]), np.zeros(3), 1e-14 * np.eye(3)))
-    scene = scene_of(tmp_path, TWO.replace("status = false", 'calibration = "cal.toml"'))
-    with pytest.raises(InputError, match="node 3 rejects 0x2104:00: abort 0x06090031"):
-        run_scene(scene, tmp_path)
+    refused = Calibration(np.diag([1e6, 1e6, 50.0]), np.zeros(3), 1e-14 * np.eye(3))
+    write_calibration(tmp_path / "refused.toml", refused)  # the node's own condition limit (2105h:1)
+    for keys, message in (
+        ('calibration = "no-such.toml"', "no-such"),
+        ('layout = ["K_H", "S_H", "U", "T"]\ncalibration = "cal.toml"', "it is for 3 gauges, the layout has 4"),
+        ('calibration = "refused.toml"', "node 3 rejects 0x2104:00: abort 0x06090031"),
+    ):
+        with pytest.raises(InputError, match=message):
+            run_scene(scene_of(tmp_path, TWO.replace("status = false", keys)), tmp_path)

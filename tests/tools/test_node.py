@@ -16,7 +16,7 @@ from host.bus_with_nodes import new_channel
 from sources.iio_tree import Tree
 from tipforce.dictionary.eds import eds_text
 from tipforce.fingertip.source import Source
-from tipforce.sources import iio_buffer, iio_sysfs
+from tipforce.sources import iio_sysfs
 from tipforce.sources.iio import IioSource
 from tipforce.sources.layout_file import layout_text, read_bridge, read_layout
 from tipforce.sources.replay import ReplaySource
@@ -93,7 +93,7 @@ WRONG = [
 def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Tree:
     found = Tree(tmp_path)
     monkeypatch.setattr(iio_sysfs, "ROOT", found.root)
-    monkeypatch.setattr(iio_buffer, "HRTIMER", tmp_path / "no-configfs")
+    monkeypatch.setattr(iio_sysfs, "HRTIMER", tmp_path / "no-configfs")
     return found
 
 

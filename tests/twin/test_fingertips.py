@@ -1,17 +1,22 @@
-"""Contacts of a MuJoCo model as strain, counts, status and contact, held against MuJoCo's own wrench and the node."""
+"""Contacts of a MuJoCo model as strain, counts, status and contact, held against MuJoCo's own wrench and the node; and
+the body of `tipforce export mjcf`: it has the mass, the outline and the modes of the sensor."""
 
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
-from tipforce import Calibration, Status, estimate
-from tipforce.errors import InputError
+from tipforce import Calibration, InputError, Status, estimate
 from tipforce.scene import beam_calibration
 from tipforce.sensor import FABRICATED, strain_matrix
-from tipforce_robots.mujoco import Fingertips
+from tipforce.sensor.dynamics.model import compliances, half_cylinder, modes
+from tipforce.sensor.structure.plane_frame import Frame
+from tipforce_robots.mujoco import Fingertips, fingertip_mjcf
+from tipforce_tools.cli.main import main
 from twin.models import R, external_wrench, pressed, push, samples
 
 SITES = {"thumb": "thumb_tip"}
@@ -121,23 +126,22 @@ def test_what_the_node_does_not_know_is_not_a_number() -> None:
     assert all(Status.SATURATED in one.status and np.isnan(one.P_newtons) for one in beyond)
 
 
-def test_bad_input_is_one_line() -> None:
-    model, _ = pressed({"ball": (90.0, 0.0, 0.02)})
-    for sites, message in (
-        ({"thumb": "tip"}, r"finger thumb: site 'tip': allowed are thumb_tip"),
-        ({"thumb": "thumb_tip", "index": "thumb_tip"}, r"fingers thumb and index: allowed is one finger for each body"),
-        ({}, r"sites: allowed is one finger or more"),
-    ):
-        with pytest.raises(InputError, match=message):
-            Fingertips(model, sites)
-    with pytest.raises(InputError, match=r"node_ids \[128\]: allowed are different ones from 1 to 127"):
-        Fingertips(model, SITES, node_ids={"thumb": 128})
-    for noise in (-1.0, np.nan, 1e300):
-        with pytest.raises(InputError, match=r"noise_microstrain = .*: allowed is 0 to 1e\+06"):
-            Fingertips(model, SITES, noise_microstrain=noise)
-    four = Calibration(np.ones((3, 4)), np.zeros(4), np.eye(4))
-    with pytest.raises(InputError, match=r"calibration of 4 gauges: the layout has 3"):
-        Fingertips(model, SITES, calibration=four)
+FOUR = Calibration(np.ones((3, 4)), np.zeros(4), np.eye(4))
+BAD: list[tuple[dict[str, str], dict[str, Any], str]] = [
+    ({"thumb": "tip"}, {}, r"finger thumb: site 'tip': allowed are thumb_tip"),
+    ({"thumb": "thumb_tip", "index": "thumb_tip"}, {}, r"fingers thumb and index: allowed is one finger for each body"),
+    ({}, {}, r"sites: allowed is one finger or more"),
+    (SITES, {"node_ids": {"thumb": 128}}, r"node_ids \[128\]: allowed are different ones from 1 to 127"),
+    (SITES, {"node_ids": {"index": 1}}, r"node_ids of index: allowed are those of thumb"),
+    *((SITES, {"noise_microstrain": noise}, r"= .*: allowed is 0 to 1e\+06") for noise in (-1.0, np.nan, 1e300)),
+    (SITES, {"calibration": FOUR}, r"calibration of 4 gauges: the layout has 3"),
+]
+
+
+@pytest.mark.parametrize(("sites", "options", "message"), BAD)
+def test_bad_input_is_one_line(sites: dict[str, str], options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Fingertips(pressed({})[0], sites, **options)
 
 
 def test_data_that_no_simulation_of_the_model_has_is_refused() -> None:
@@ -161,3 +165,63 @@ def test_without_mujoco_it_is_one_line() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == 'MuJoCo is not installed: pip install "tipforce[mujoco]"\n'
+
+
+def test_the_modes_are_those_of_the_beams() -> None:
+    """Eigenvalues of MuJoCo's own mass matrix, and sensor.dynamics: two ways to one number."""
+    model = mujoco.MjModel.from_xml_string(fingertip_mjcf("thumb_"))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    columns = np.eye(model.nv)
+    mass = np.empty_like(columns)
+    for k in range(model.nv):
+        mujoco.mj_mulM(model, data, mass[k], columns[k])
+    omega2 = np.linalg.eigvals(np.linalg.solve(mass, np.diag(model.jnt_stiffness)))
+    found = modes(FABRICATED)
+    assert np.sqrt(np.sort(omega2.real)) == pytest.approx(found.omega_rad_s, rel=2e-4)  # a circle of 64 facets
+    ratio = 0.5 * model.dof_damping / model.jnt_stiffness * found.omega_rad_s[0]
+    assert ratio == pytest.approx(0.05, rel=1e-6)
+    assert model.body("thumb_tip").mass[0] == pytest.approx(half_cylinder(FABRICATED).mass_kg)
+
+
+def test_a_static_load_moves_the_tip_as_the_beams_do() -> None:
+    model = mujoco.MjModel.from_xml_string(fingertip_mjcf(damping_ratio=1.0))
+    model.opt.gravity[:] = 0.0
+    data = mujoco.MjData(model)
+    F = np.array([-0.6, 0.02, 0.05])  # F1, F2, F3
+    r = FABRICATED.r_m
+    body = model.body("tip").id
+    model.opt.timestep = 1e-4
+    for _ in range(4000):
+        # At the origin of the tip; xfrc_applied acts at the centre of mass.
+        lever = data.site("tip").xpos - data.xipos[body]
+        force, moment = np.array([F[2], F[0], 0.0]), np.array([0.0, 0.0, r * F[1]])
+        data.xfrc_applied[body] = [*force, *(moment + np.cross(lever, force))]
+        mujoco.mj_step(model, data)
+    arms, vertical = compliances(Frame(FABRICATED))
+    v, turned, u = (arms + vertical) @ F
+    x, y, turn = data.qpos
+    hinge_m = model.joint("turn").pos[1]
+    # The hinge is below the origin: a turn moves the origin along x.
+    assert (y, turn, x + hinge_m * turn) == pytest.approx((v, turned / r, u), rel=2e-3, abs=1e-9)
+
+
+def test_without_springs_and_with_a_prefix(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "tip.xml"
+    assert main(["export", "mjcf", "--prefix", "index_", "--rigid", "-o", str(path), "-q"]) == 0
+    model = mujoco.MjModel.from_xml_path(str(path))
+    assert model.nv == 0
+    assert [model.body(k).name for k in range(model.nbody)] == ["world", "index_fixture", "index_tip"]
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    distance = data.site("index_tip").xpos[1]
+    assert distance == pytest.approx(4e-3 + FABRICATED.d_m + 0.5 * FABRICATED.h1_m)
+    assert main(["export", "mjcf"]) == 0
+    assert capsys.readouterr().out == fingertip_mjcf()
+
+
+def test_a_bad_prefix_or_damping_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(InputError, match=r"prefix 'a b': allowed are letters, digits, _, - and \."):
+        fingertip_mjcf("a b")
+    assert main(["export", "mjcf", "--damping-ratio", "nan"]) == 2
+    assert "damping_ratio = nan: allowed is 0 to 1e+06" in capsys.readouterr().err

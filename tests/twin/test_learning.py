@@ -10,9 +10,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import tipforce
-from tipforce.errors import InputError
 from tipforce.host import Decoder, open_log
-from tipforce_robots.learning import Observations, observation, observation_space, recorded_observations
+from tipforce_robots.learning import observation, observation_space, recorded_observations
 from tipforce_robots.mujoco import GraspEnv
 from tipforce_tools.cli.main import main
 
@@ -20,10 +19,8 @@ from tipforce_tools.cli.main import main
 def test_a_finger_on_a_bus_and_one_that_is_missing() -> None:
     with tipforce.simulated_finger(5, load=(2.0, -85, 95)) as bus:
         contact = replace(bus.finger(5).read(), name="thumb")
-    unknown = replace(
-        contact, node_id=6, name="index", P_newtons=float("nan"), phi_deg=float("nan"), theta_deg=float("nan")
-    )
-    without_u = replace(contact, node_id=7, name="ring", u_P_newtons=float("nan"), P_newtons=33.0)
+    unknown = replace(contact, node_id=6, name="index", P_newtons=np.nan, phi_deg=np.nan, theta_deg=np.nan)
+    without_u = replace(contact, node_id=7, name="ring", u_P_newtons=np.nan, P_newtons=33.0)
     row = observation(tipforce.HandRow(0, 0.0, [contact, unknown, without_u]))
     space = observation_space(3)
     assert space.contains(row)
@@ -34,7 +31,7 @@ def test_a_finger_on_a_bus_and_one_that_is_missing() -> None:
     assert not values[1].any()
     assert (u[1] == space["uncertainties"].high[1]).all()  # type: ignore[attr-defined]
     assert u[2, 0] == np.float32(32.767)
-    with pytest.raises(InputError, match=r"fingers = 0: allowed is 1 or more"):
+    with pytest.raises(tipforce.InputError, match=r"fingers = 0: allowed is 1 or more"):
         observation_space(0)
 
 
@@ -62,7 +59,7 @@ def test_the_grasp_is_an_environment_of_gymnasium() -> None:
         _found, reward, fallen, ended, _info = env.step(np.full(1, 0.02, np.float32))
         assert not ended
     assert reward < -100.0
-    with pytest.raises(InputError, match=r"allowed is float32 of the shape \(1,\) from 0 to 1"):
+    with pytest.raises(tipforce.InputError, match=r"allowed is float32 of the shape \(1,\) from 0 to 1"):
         env.step(np.full(1, 1.5, np.float32))
 
 
@@ -78,25 +75,29 @@ def log(path: Path) -> tipforce.Log:
     return tipforce.read_log(path)
 
 
-def test_decoded_frames_give_dlpack_without_copies(path: Path) -> None:
-    decoder = Decoder(3, [1, 2])
+def test_frames_and_logs_give_dlpack_without_copies(path: Path, log: tipforce.Log) -> None:
     with open_log(str(path)) as reader:
-        decoded = decoder.decode(next(iter(reader)))
+        decoded = Decoder(3, [1, 2]).decode(next(iter(reader)))
     assert set(decoded) == {(node_id, name) for node_id in (1, 2) for name in ("Gauges", "Contact")}
-    for samples in decoded.values():
-        for array in (samples.t_ns, *samples.columns.values()):
-            assert np.shares_memory(np.from_dlpack(array), array)
-
-
-def test_a_log_gives_dlpack_without_copies(log: tipforce.Log) -> None:
+    arrays = [array for samples in decoded.values() for array in (samples.t_ns, *samples.columns.values())]
     for node in log.values():
-        arrays = [getattr(node, name) for name in ("P_newtons", "phi_deg", "theta_deg", "u_P_newtons", "t_s", "status")]
-        arrays += [node.microstrain, node.F_newtons, node.counter]
+        names = (
+            "P_newtons",
+            "phi_deg",
+            "theta_deg",
+            "u_P_newtons",
+            "t_s",
+            "status",
+            "microstrain",
+            "F_newtons",
+            "counter",
+        )
+        arrays += [getattr(node, name) for name in names]
         arrays += [array for array in node.columns.values() if array.dtype.kind in "iufb"]
-        for array in arrays:
-            taken = np.from_dlpack(array)
-            assert np.shares_memory(taken, array)
-            assert taken.dtype == array.dtype
+    for array in arrays:
+        taken = np.from_dlpack(array)
+        assert np.shares_memory(taken, array)
+        assert taken.dtype == array.dtype
 
 
 def test_a_recording_becomes_windows(log: tipforce.Log) -> None:
@@ -126,9 +127,9 @@ def test_no_window_crosses_a_gap_and_a_lost_sample_is_not_valid(log: tipforce.Lo
     assert (np.diff(windows.t_s, axis=1) < 0.003).all()
     assert len(found.windows(300)) == 0
     assert found.windows(300).values.shape == (0, 300, 2, 3)
-    with pytest.raises(InputError, match=r"nodes \[9\]: the log has 1, 2"):
+    with pytest.raises(tipforce.InputError, match=r"nodes \[9\]: the log has 1, 2"):
         recorded_observations(tipforce.Log(nodes, {}, 0), [9])
-    with pytest.raises(InputError, match=r"windows of length 0, stride 1: allowed is 1 or more"):
+    with pytest.raises(tipforce.InputError, match=r"windows of length 0, stride 1: allowed is 1 or more"):
         found.windows(0)
 
 
@@ -151,8 +152,3 @@ def test_without_gymnasium_it_is_one_line_and_torch_is_never_needed() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == 'gymnasium is not installed: pip install "tipforce[gymnasium]"\n' * 2
-
-
-def test_observations_have_the_length_of_their_time_axis() -> None:
-    empty = np.zeros((0, 2, 3), np.float32)
-    assert len(Observations(np.zeros(0), empty, empty, empty.astype(np.int8)).windows(4)) == 0

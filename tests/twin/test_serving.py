@@ -13,7 +13,6 @@ import pytest
 import grasp
 import tipforce
 from grasp_controller import ASKED_NEWTONS, control
-from tipforce.errors import InputError
 from tipforce_robots.mujoco import Fingertips, TwinNodes
 from twin.models import pressed, push
 
@@ -85,7 +84,7 @@ def test_time_is_that_of_the_simulation(buses: tuple[can.BusABC, can.BusABC]) ->
     assert answer[1][4] & int(tipforce.Status.CALIBRATED)
     # The model starts again: so do its nodes.
     mujoco.mj_resetData(model, data)
-    with pytest.raises(InputError, match="the time of data went back from 500000 to 0 us"):
+    with pytest.raises(tipforce.InputError, match="the time of data went back from 500000 to 0 us"):
         nodes.exchange()
     tips.reset()
     nodes.exchange()
@@ -102,7 +101,7 @@ def test_it_follows_the_clock_and_says_what_it_lost(
     lost_s = nodes.follow_clock(lambda: mujoco.mj_step(model, data), lambda: next(steps) == 100)
     assert data.time == pytest.approx(0.05)
     assert lost_s == pytest.approx(10.0, abs=0.4)  # 100 steps of 0.5 ms while the clock goes 0.1 s in each
-    with pytest.raises(InputError, match=r"period_s = 0.0: allowed is a positive finite number"):
+    with pytest.raises(tipforce.InputError, match=r"period_s = 0.0: allowed is a positive finite number"):
         nodes.follow_sync(lambda: None, 0.0, lambda: True)
 
 

@@ -22,8 +22,6 @@ from tipforce.samples.reasons import Status
 from tipforce.samples.record import JoinedSamples
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce_robots.ros2 import bridge, cdr
-from tipforce_robots.ros2.bridge import Tip
-from tipforce_robots.ros2.cdr import CONTACT, DIAGNOSTICS, FRAME, WRENCH, with_dependencies
 
 _SECOND_NS = 1_000_000_000
 _PICTURE_NS = _SECOND_NS // 30
@@ -39,12 +37,12 @@ class McapWriter:
     def __init__(self, stream: BinaryIO) -> None:
         self._writer = mcap.writer.Writer(stream)
         self._writer.start(profile="ros2", library="tipforce")
-        self._tips: dict[int, tuple[str, Tip, dict[str, int]]] = {}  # by key: name, messages, channel of each kind
+        self._tips: dict[int, tuple[str, bridge.Tip, dict[str, int]]] = {}  # by key; channels by kind
         self._frames: dict[str, tuple[int, cdr.Layout]] = {}
         self._sequence: dict[int, int] = {}
         self._newest: dict[int, tuple[Block, int]] = {}  # by key: samples, and the row of the newest
         self._picture_ns = self._last_ns = 0
-        self._diagnostics = self.channel("/diagnostics", DIAGNOSTICS)
+        self._diagnostics = self.channel("/diagnostics", cdr.DIAGNOSTICS)
         example = {"entities": [_entity(0, 0, "", (1.0, 0.0, 0.0), 0)]}  # has all fields of SceneUpdate that are used
         content = json.dumps({"title": _SCENE, **_schema(example)}).encode()
         schema = self._writer.register_schema(_SCENE, "jsonschema", content)
@@ -52,7 +50,7 @@ class McapWriter:
 
     def channel(self, topic: str, kind: str) -> int:
         """Return a new channel of ROS 2 messages."""
-        schema = self._writer.register_schema(kind, "ros2msg", with_dependencies(kind).encode())
+        schema = self._writer.register_schema(kind, "ros2msg", cdr.with_dependencies(kind).encode())
         return int(self._writer.register_channel(topic, "cdr", schema))
 
     def frames(self, frames: FrameArray, channels: Sequence[str]) -> None:
@@ -62,8 +60,8 @@ class McapWriter:
         for number in occurring(frames["channel"]):
             chosen, name = np.flatnonzero(frames["channel"] == number), channels[number]
             if name not in self._frames:
-                layout = cdr.Layout(FRAME, {"header.frame_id": name})
-                self._frames[name] = self.channel(f"/{name}/frames", FRAME), layout
+                layout = cdr.Layout(cdr.FRAME, {"header.frame_id": name})
+                self._frames[name] = self.channel(f"/{name}/frames", cdr.FRAME), layout
             places[chosen], layout = self._frames[name]
             rows, some = layout.rows(len(chosen)), frames.take(chosen)
             cdr.set_stamps(rows, some["t_ns"])
@@ -98,7 +96,7 @@ class McapWriter:
         """Append EMCYs and changes of NMT states, and complete the file."""
         for event in events:
             name, node = f"tipforce: finger_{event.node_id}", f"node {event.node_id}"
-            status = bridge.of_event(name, node, event.kind, event.text, channel=event.channel)
+            status = bridge.of_event(name, node, event, channel=event.channel)
             self._add(self._diagnostics, event.t_ns, bridge.array(event.t_ns, [status]))
         self._report()
         self._writer.finish()  # type: ignore[no-untyped-call]
@@ -107,14 +105,13 @@ class McapWriter:
         number = self._sequence[channel] = self._sequence.get(channel, -1) + 1
         self._writer.add_message(channel, t_ns, message, t_ns, number)
 
-    def _tip(self, key: int, channels: Sequence[str]) -> tuple[str, Tip, dict[str, int]]:
+    def _tip(self, key: int, channels: Sequence[str]) -> tuple[str, bridge.Tip, dict[str, int]]:
         if key not in self._tips:
             node, bus = key & ((1 << NODE_BITS) - 1), key >> NODE_BITS
             name = f"{channels[bus]}/finger_{node}" if bus else f"finger_{node}"
-            tip = Tip(f"tipforce: {name}", node, f"{name.replace('/', '_')}_tip", FABRICATED.r_m)
-            wrench = self.channel(f"{_PREFIX}/{name}/wrench", WRENCH)
-            contact = self.channel(f"{_PREFIX}/{name}/contact", CONTACT)
-            self._tips[key] = name, tip, {WRENCH: wrench, CONTACT: contact}
+            tip = bridge.Tip(f"tipforce: {name}", node, f"{name.replace('/', '_')}_tip", FABRICATED.r_m)
+            topics = {cdr.WRENCH: f"{_PREFIX}/{name}/wrench", cdr.CONTACT: f"{_PREFIX}/{name}/contact"}
+            self._tips[key] = name, tip, {kind: self.channel(topic, kind) for kind, topic in topics.items()}
         return self._tips[key]
 
     def _pictures(self, chunk: Table, samples: Mapping[int, Block]) -> None:
@@ -140,9 +137,8 @@ class McapWriter:
 
     def _report(self) -> None:
         if self._tips:
-            t_ns = self._last_ns
             status = [tip.status("") for _, tip, _ in self._tips.values()]
-            self._add(self._diagnostics, t_ns, bridge.array(t_ns, status))
+            self._add(self._diagnostics, self._last_ns, bridge.array(self._last_ns, status))
 
 
 def samples_of(table: Table) -> tuple[Block, npt.NDArray[np.int64]]:

@@ -40,13 +40,11 @@ _FRONT_END = {
 FILTERS = {"moving_average": 1, "repeating_average": 2, "first_order": 100}  # 61A0h
 
 
+@dataclass(slots=True)
 class Clock:
     """Start of the scene in the node's microseconds. Simulated time begins at 0."""
 
-    __slots__ = ("start_us",)
-
-    def __init__(self) -> None:
-        self.start_us = 0
+    start_us: int = 0
 
 
 @dataclass(slots=True)
@@ -168,13 +166,9 @@ def _swinging(dynamics: schema.Dynamics, following: Callable[[int], Triple], clo
 
     coefficients = node_coefficients(modes(FABRICATED, dynamics.damping_ratio), 1e-6 * dynamics.step_us)
     forces = DynamicForces(DynamicLoad(cast("Coefficients", coefficients)), following, dynamics.step_us)
-    begun = False
 
     def force(now_us: int) -> Triple:
-        nonlocal begun
-        if not begun:
-            begun = True
-            forces(clock.start_us)
+        forces(clock.start_us)  # the first call settles the tip there
         return forces(now_us)
 
     return force

@@ -23,31 +23,6 @@ _SETTLE_S = 0.05  # without a frame, after the last SYNC
 _MOST_SETTLES = 20
 
 
-class _Heard(FrameBuffer):
-    """The received frames. An error of the bus does not end the reception; ``failure`` is it until a frame passes."""
-
-    failure: Exception | None = None
-    count = 0
-
-    def __call__(self, msg: can.Message) -> None:
-        self.failure = None
-        self.count += 1
-        super().__call__(msg)
-
-    def on_error(self, exc: Exception) -> None:
-        """Continue; without this python-can's thread would end. A bus that fails repeatedly must not occupy a core."""
-        self.failure = exc
-        time.sleep(_AFTER_ERROR_S)
-
-    def settle(self, answered: Callable[[], bool]) -> None:
-        """Wait until the nodes have answered and no frame arrives: on a busy machine both may be late."""
-        for _ in range(_MOST_SETTLES):
-            before = self.count
-            time.sleep(_SETTLE_S)
-            if self.count == before and answered():
-                return
-
-
 class _NodesPort:
     """The nodes' port; ``answered`` counts the SYNCs whose answers were sent."""
 
@@ -66,14 +41,36 @@ class _NodesPort:
         return frame
 
 
-class _Master:
-    def __init__(self, bus: can.BusABC, heard: _Heard) -> None:
-        self._bus, self._heard = bus, heard
+class _Master(FrameBuffer):
+    """The frames that the host sends, and those that it receives. An error of the bus does not end the reception."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        super().__init__()
+        self._bus = bus
         self._said: list[tuple[int, int, bytes]] = []
-        self._refused = 0
+        self._refused = self._received = 0
         self.syncs = 0
         self._error: can.CanError | None = None  # of the last frame
+        self._failure: Exception | None = None  # of the reception, until a frame passes
         self.epoch_ns = time.time_ns()
+
+    def __call__(self, msg: can.Message) -> None:
+        self._failure = None
+        self._received += 1
+        super().__call__(msg)
+
+    def on_error(self, exc: Exception) -> None:
+        """Continue; without this python-can's thread would end. A bus that fails repeatedly must not occupy a core."""
+        self._failure = exc
+        time.sleep(_AFTER_ERROR_S)
+
+    def settle(self, port: _NodesPort) -> None:
+        """Wait until the nodes have answered and no frame arrives: on a busy machine both may be late."""
+        for _ in range(_MOST_SETTLES):
+            before = self._received
+            time.sleep(_SETTLE_S)
+            if self._received == before and port.answered >= self.syncs:
+                return
 
     def say(self, can_id: int, data: bytes) -> None:
         """Send a frame; one that the bus refuses is counted, because the bus may recover."""
@@ -94,7 +91,7 @@ class _Master:
 
     def record(self, recording: Recording) -> None:
         """Add every frame to the recording, in the order of their times."""
-        frames = self._heard.take_all()
+        frames = self.take_all()
         columns = (frames[name].tolist() for name in ("t_ns", "can_id", "length", "data"))
         heard = [(t_ns, can_id, bytes(data[:n])) for t_ns, can_id, n, data in zip(*columns, strict=True)]
         for t_ns, can_id, data in sorted(heard + self._said, key=lambda row: row[0]):
@@ -102,7 +99,7 @@ class _Master:
 
     def check(self) -> None:
         """Raise EnvironmentLackError for a bus that is down at the end; log what one that recovered has missed."""
-        error = self._error or self._heard.failure
+        error = self._error or self._failure
         if error is not None:
             raise EnvironmentLackError(f"the bus failed and did not recover: {error}; the log has what was received")
         if self._refused:
@@ -116,12 +113,8 @@ def run_on_bus(
     recording: Recording,
     advance: Callable[[float], None],
 ) -> None:
-    """Run the hand for ``duration_s`` of real time; a bus that goes down and comes back misses SYNCs meanwhile.
-
-    SYNCs that are late because the machine is busy stay late in the recording; frames of other nodes are recorded.
-    Raises EnvironmentLackError for a bus that does not open, or is down at the end; what was received is recorded then
-    too.
-    """
+    """Run the hand in real time; SYNCs that are late, or missed while the bus is down, stay so in the recording. Raises
+    EnvironmentLackError for a bus that does not open, or is down at the end; what was received is recorded then too."""
     # Without a bus python-can's inside one process; a unique name keeps two runs in one process apart.
     bus = scene.bus or schema.Bus(interface="virtual", channel=f"tipforce-run-{time.monotonic_ns()}")
     options = {"interface": bus.interface, "channel": bus.channel, "bitrate": bus.bitrate}
@@ -130,10 +123,9 @@ def run_on_bus(
         nodes_port, _ = open_port(**options)
         opened.callback(nodes_port.close)
         port = _NodesPort(nodes_port)
-        heard = _Heard()
-        master = _Master(host, heard)
+        master = _Master(host)
         opened.callback(master.record, recording)  # after the reception; also after an error or Ctrl-C
-        notifier = can.Notifier(host, [heard], timeout=0.05)
+        notifier = can.Notifier(host, [master], timeout=0.05)
         opened.callback(notifier.stop)
         for finger in fingers:
             port.send(finger.boot(loop.now_us()))
@@ -152,7 +144,7 @@ def run_on_bus(
                     fault.inject(loop.now_us())
                 advance(1e-6 * t_us)
             _wait_until(start_s + duration_s)
-            heard.settle(lambda: port.answered >= master.syncs)
+            master.settle(port)
     master.check()
 
 

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.util import find_spec
+from importlib.util import find_spec, resolve_name
 from pathlib import Path
 
 from canopen_device.can_frame import least_bits, most_bits
@@ -49,6 +49,7 @@ class Part:
 
 # Modules imported for a part in addition to those already loaded.
 _STRUCTURE = ("tipforce.sensor.structure.strain",)
+_BUS = ("tipforce.scene.realtime", "canopen_device.running.ports")
 _DYNAMICS = (
     "tipforce.sensor.dynamics.first_order_hold", "tipforce.sensor.dynamics.model", "tipforce.sources.dynamic_load",
 )  # fmt: skip
@@ -128,9 +129,8 @@ def _load_parts(scene: schema.Scene, loads: Sequence[schema.LoadHistory | None])
 
 def _electronics(scene: schema.Scene) -> Iterator[Part]:
     front, noise = scene.front_end, scene.noise or schema.Noise()
-    white, pink = noise.gauge_microstrain, noise.one_over_f_microstrain
+    white, pink, temperature = noise.gauge_microstrain, noise.one_over_f_microstrain, "front_end.temperature_degC"
     why = "[front_end]" if front else "noise.one_over_f_microstrain" if pink else ""
-    temperature = "front_end.temperature_degC"
     yield _keyed("noise", "noise.gauge_microstrain", white, "random", without=": no random numbers")
     yield _keyed("1/f noise", "noise.one_over_f_microstrain", pink, "random")
     yield _part("front end", why, "no [front_end]: an ideal converter of 16 bits", "tipforce.sources.front_end")
@@ -144,7 +144,7 @@ def _node_parts(scene: schema.Scene, groups: Sequence[schema.Nodes]) -> Iterator
     filtered = next((group.filter for group in groups if group.filter), None)
     force, contact = (next((why for why in reasons if why), "") for reasons in zip(*map(computes, groups), strict=True))
     modules = ["tipforce.host.configuration.calibration"] if calibrated else []
-    modules += (*_STRUCTURE, "tipforce.sensor.structure.strain") if "model" in calibrated else ()
+    modules += _STRUCTURE if "model" in calibrated else ()
     why = f'nodes.calibration = "{calibrated[0]}"' if calibrated else ""
     named = "" if file is None else f'"{file}"'
     nobody = "" if calibrated else "no node is calibrated"
@@ -168,13 +168,7 @@ def _frame_parts(scene: schema.Scene, groups: Sequence[schema.Nodes]) -> Iterato
     named = f"[bus]: {bus.interface or bus.channel or _CONFIGURED}" if bus else ""
     sent = f"nodes.pdos: {', '.join(pdos)}" if pdos else ""
     slit = f"slit.gap_mm = {gap_mm:g}" if gap_mm else ""
-    yield _part(
-        "bus",
-        named,
-        "no [bus]: simulated time, no bus at all",
-        "tipforce.scene.realtime",
-        "canopen_device.running.ports",
-    )
+    yield _part("bus", named, "no [bus]: simulated time, no bus at all", *_BUS)
     yield _part("recording", "every frame, for the parts below", "", "tipforce.scene.results")
     yield _part("decoder", sent, "no nodes.pdos", "tipforce.host.decoding.decoder")
     yield _part("slit", slit, "no [slit]: not checked", "tipforce.sensor.structure.plane_frame")
@@ -254,11 +248,8 @@ def bus_load(scene: schema.Scene) -> tuple[float, float]:
 
 
 def loaded_by(*names: str) -> tuple[str, ...]:
-    """Return the project's modules and the third-party packages that importing ``names`` loads, sorted.
-
-    Imports inside functions and under ``if TYPE_CHECKING`` are excluded: they load on demand. Third-party packages are
-    listed by their top-level name; the standard library only if ``names`` contains it.
-    """
+    """Return the project's modules and the third-party packages (by top-level name) that importing ``names`` loads:
+    sorted, without imports in functions and under ``if TYPE_CHECKING``; of the standard library only ``names``."""
     modules: set[str] = set()
     pending = list(names)
     while pending:
@@ -283,8 +274,7 @@ def _imports(name: str) -> tuple[str, ...]:
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         else:
-            base = package.rsplit(".", node.level - 1)[0] if node.level else ""
-            module = ".".join(filter(None, (base, node.module)))
+            module = resolve_name("." * node.level + (node.module or ""), package)
             inside = [f"{module}.{alias.name}" for alias in node.names]
             names = [inner if _is_module(inner) else module for inner in inside]
         roots = {name: name.partition(".")[0] for name in names}

@@ -119,20 +119,16 @@ class Contact:
     slit_closed: BoolArray | None = None
     """(k,): the load closes the slit; None if the scene has no [slit]."""
 
-    @property
-    def error(self) -> FloatArray:
-        """Estimate minus applied, (k, 3), angles wrapped; NaN where unknown, and for angles at zero applied force."""
-        error = self.estimated - self.applied
+    def errors(self, rows: BoolArray | slice = slice(None)) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return RMS and largest absolute value of estimate minus applied, of P, phi and theta over the rows where each
+        is known, angles (wrapped) only under a force: without a force there is no direction. NaN if there is none."""
+        applied = self.applied[rows]
+        error = self.estimated[rows] - applied
         error[:, 1:] = (error[:, 1:] + 180.0) % 360.0 - 180.0
-        error[self.applied[:, 0] == 0.0, 1:] = np.nan
-        return error
-
-    def between(self, from_s: float, until_s: float) -> Contact:
-        """Return the samples of these times, both included."""
-        rows = (self.t_s >= from_s) & (self.t_s <= until_s)
-        flags = {name: column[rows] for name, column in self.flags.items()}
-        closed = None if self.slit_closed is None else self.slit_closed[rows]
-        return Contact(self.t_s[rows], self.estimated[rows], self.applied[rows], flags, closed)
+        error[applied[:, 0] == 0.0, 1:] = np.nan
+        columns = [column[np.isfinite(column)] for column in error.T]
+        rms = tuple(float(np.sqrt(np.mean(c * c))) if len(c) else math.nan for c in columns)
+        return rms, tuple(float(np.max(np.abs(c))) if len(c) else math.nan for c in columns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,9 +145,8 @@ class FingerResult:
     """At the last contact PDO; the angles are NaN without a force."""
     estimated_end: tuple[float, ...]
     rms_error: tuple[float, ...]
-    """Over the samples where each is known, angles only under a force: without a force there is no direction."""
+    """As of ``Contact.errors``."""
     max_error: tuple[float, ...]
-    """Largest absolute value."""
     slit_closed: int | None = None
     """Samples under a load that closes the slit; None if the scene has no [slit]."""
     missing: dict[str, int] = field(default_factory=dict)
@@ -176,13 +171,11 @@ def decode(fingers: Sequence[Finger], frames: FrameArray) -> dict[tuple[int, str
     return messages
 
 
-def contact_of(
-    finger: Finger, messages: dict[tuple[int, str], Samples], slit: schema.Slit | None = None
-) -> Contact | None:
-    """Return the contact PDOs of a finger with the load; None if there are none."""
+def contact_of(finger: Finger, messages: dict[tuple[int, str], Samples], slit: schema.Slit | None = None) -> Contact:
+    """Return the contact PDOs of a finger with the load."""
     samples = messages.get((finger.node_id, "Contact"))
     if samples is None:
-        return None
+        return Contact(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), {})
     t_s: FloatArray = samples.t_ns / 1e9
     estimated = np.stack([samples.columns[name] for name in QUANTITIES], axis=-1)
     flags = {name: column for name, column in samples.columns.items() if column.dtype == np.bool_}
@@ -192,7 +185,7 @@ def contact_of(
 
 def applied_at(load: schema.LoadHistory | None, t_s: FloatArray) -> FloatArray:
     """Return LoadHistory.at for many times: (k, 3)."""
-    knots = np.array([(0.0, *schema.UNLOADED)] if load is None else load.knots)
+    knots = np.zeros((1, 4)) if load is None else np.array(load.knots)
     return np.stack([np.interp(t_s, knots[:, 0], column) for column in knots[:, 1:].T], axis=-1)
 
 
@@ -203,22 +196,17 @@ def emcy_of(node_id: int, frames: FrameArray) -> list[tuple[float, str]]:
     return [(t / 1e9, f"{code:04X}") for t, code in zip(own["t_ns"].tolist(), codes.tolist(), strict=True) if code]
 
 
-def finger_result(finger: Finger, syncs: int, contact: Contact | None, emcy: Emcy) -> FingerResult:
+def finger_result(finger: Finger, syncs: int, contact: Contact, emcy: Emcy) -> FingerResult:
     """Return the results of one finger."""
-    counts, nan = dict(Counter(code for _, code in emcy)), float("nan")
-    unknown = (nan,) * 3
-    if contact is None or not len(contact.t_s):
+    counts, unknown = dict(Counter(code for _, code in emcy)), (math.nan,) * 3
+    if not len(contact.t_s):
         sent = any(pdo.name == "Contact" for pdo in finger.pdos)
         why = {"no frame" if sent else "contact PDO not sent": syncs}
         return FingerResult(finger.node_id, syncs, 0, (0, 0, 0), unknown, unknown, unknown, unknown, None, why, counts)
-    error = contact.error
-    columns = [error[np.isfinite(error[:, k]), k] for k in range(3)]
     P_newtons, *angles = contact.applied[-1].tolist()
     return FingerResult(
         finger.node_id, syncs, len(contact.t_s), tuple(np.isfinite(contact.estimated).sum(axis=0).tolist()),
-        (P_newtons, *(angles if P_newtons else (nan, nan))), tuple(contact.estimated[-1].tolist()),
-        tuple(float(np.sqrt(np.mean(c * c))) if len(c) else nan for c in columns),
-        tuple(float(np.max(np.abs(c))) if len(c) else nan for c in columns),
+        (P_newtons, *(angles if P_newtons else unknown[1:])), tuple(contact.estimated[-1].tolist()), *contact.errors(),
         None if contact.slit_closed is None else int(contact.slit_closed.sum()), _missing(contact, syncs), counts,
     )  # fmt: skip
 
@@ -276,7 +264,7 @@ def write_table(path: str, messages: Mapping[tuple[int, str], Samples]) -> None:
         writer.writerows(cells for _, _, cells in rows)
 
 
-def write_plot(path: str, title: str, contacts: Mapping[int, Contact | None]) -> None:
+def write_plot(path: str, title: str, contacts: Mapping[int, Contact]) -> None:
     """Plot P, phi, theta per finger. Raises EnvironmentLackError without matplotlib, InputError for the path."""
     try:
         from matplotlib.figure import Figure
@@ -286,10 +274,10 @@ def write_plot(path: str, title: str, contacts: Mapping[int, Contact | None]) ->
     axes = figure.subplots(len(contacts), 3, sharex=True, squeeze=False)
     for row, (node_id, contact) in zip(axes, contacts.items(), strict=True):
         for k, (axis, label) in enumerate(zip(row, ("P (N)", "phi (degree)", "theta (degree)"), strict=True)):
-            if contact is not None:
+            if len(contact.t_s):
                 applied = contact.applied[:, k].copy()
                 if k:
-                    applied[contact.applied[:, 0] <= 0.0] = float("nan")  # a direction without a force has no meaning
+                    applied[contact.applied[:, 0] <= 0.0] = math.nan  # a direction without a force has no meaning
                 axis.plot(contact.t_s, applied, color="0.6", linewidth=3.0, label="applied")
                 axis.plot(contact.t_s, contact.estimated[:, k], color="C0", linewidth=0.8, label="estimated")
             axis.set_ylabel(label)
@@ -317,7 +305,7 @@ def judge(
     scene: schema.Scene,
     duration_s: float,
     syncs: Sequence[float],
-    contacts: Mapping[int, Contact | None],
+    contacts: Mapping[int, Contact],
     emcys: Mapping[int, Emcy],
 ) -> list[Check]:
     """Return every expectation, for every node to which it applies. ``syncs``: their times, seconds."""
@@ -329,35 +317,34 @@ def judge(
         when = f"{expect.from_s:g} s to {needs_s:g} s: "
         for node_id in expect.nodes or scene.node_ids:
             total = sum(expect.from_s <= t <= until for t in syncs)
-            contact = contacts.get(node_id)
-            inside = None if contact is None else contact.between(expect.from_s, until)
-            emcy = [code for t, code in emcys.get(node_id, ()) if expect.from_s <= t <= until]
-            for name, measured, ok in _checks(expect, inside, total, emcy):
+            t_s = contacts[node_id].t_s
+            rows = (t_s >= expect.from_s) & (t_s <= until)
+            emcy = [code for t, code in emcys[node_id] if expect.from_s <= t <= until]
+            for name, measured, ok in _checks(expect, contacts[node_id], rows, total, emcy):
                 checks.append(Check(node_id, when + name, measured, ok if needs_s <= duration_s else None))
     return checks
 
 
 def _checks(
-    expect: schema.Expect, contact: Contact | None, syncs: int, emcy: Sequence[str]
+    expect: schema.Expect, contact: Contact, rows: BoolArray, syncs: int, emcy: Sequence[str]
 ) -> Iterator[tuple[str, str, bool]]:
-    yield from _errors(expect, contact)
-    known = 0 if contact is None else int(np.isfinite(contact.estimated[:, 0]).sum())
-    share = known / syncs if syncs else 0.0
+    yield from _bounds(expect, *contact.errors(rows))
+    share = int(np.isfinite(contact.estimated[rows, 0]).sum()) / syncs if syncs else 0.0
     least, most = expect.P_known_at_least, expect.P_known_at_most
     if least is not None:
         yield f"P known in at least {least:g} of the SYNCs", f"{share:.4g}", share >= least
     if most is not None:
         yield f"P known in at most {most:g} of the SYNCs", f"{share:.4g}", bool(syncs) and share <= most
-    flags = {} if contact is None else contact.flags
+    set_counts = {name: int(column[rows].sum()) for name, column in contact.flags.items()}
     for name in expect.status_seen:
-        count = int(flags[name].sum()) if name in flags else 0
+        count = set_counts.get(name, 0)
         yield f"status {name}", f"in {count} samples", count > 0
     for name in expect.status_never:
         # A bit that was never sent was not seen clear either.
-        count = int(flags[name].sum()) if name in flags else -1
+        count = set_counts.get(name, -1)
         yield f"never status {name}", f"in {count} samples" if count >= 0 else "status not sent", count == 0
     if expect.slit_closes is not None:
-        closed = 0 if contact is None or contact.slit_closed is None else int(contact.slit_closed.sum())
+        closed = 0 if contact.slit_closed is None else int(contact.slit_closed[rows].sum())
         word = "closes" if expect.slit_closes else "stays open"
         yield f"slit {word}", f"closed in {closed} samples", (closed > 0) == expect.slit_closes
     for code in expect.emcy_seen:
@@ -366,18 +353,13 @@ def _checks(
         yield "no EMCY", ", ".join(sorted(set(emcy))) or "none", not emcy
 
 
-def _errors(expect: schema.Expect, contact: Contact | None) -> Iterator[tuple[str, str, bool]]:
+def _bounds(
+    expect: schema.Expect, rms: tuple[float, ...], largest: tuple[float, ...]
+) -> Iterator[tuple[str, str, bool]]:
     """Yield the bounds of errors. A bound without a known sample fails."""
-    error = np.zeros((0, 3)) if contact is None else contact.error
-    largest = (expect.P_error_N, expect.phi_error_deg, expect.theta_error_deg)
-    for place, limit in enumerate((*largest, expect.P_rms_N, expect.phi_rms_deg, expect.theta_rms_deg)):
-        if limit is None:
-            continue
-        k, unit = place % 3, "deg" if place % 3 else "N"
-        column = error[np.isfinite(error[:, k]), k]
-        text = f"{'largest' if place < 3 else 'RMS'} error of {QUANTITIES[k]} at most {limit:g} {unit}"
-        if not len(column):
-            yield text, "no sample with a known value", False
-            continue
-        size = float(np.max(np.abs(column)) if place < 3 else np.sqrt(np.mean(column * column)))
-        yield text, f"{size:.4g} {unit}", size <= limit
+    for word, key, errors in (("largest", "error", largest), ("RMS", "rms", rms)):
+        for quantity, unit, error in zip(QUANTITIES, ("N", "deg", "deg"), errors, strict=True):
+            limit = getattr(expect, f"{quantity}_{key}_{unit}")
+            if limit is not None:
+                measured = "no sample with a known value" if math.isnan(error) else f"{error:.4g} {unit}"
+                yield f"{word} error of {quantity} at most {limit:g} {unit}", measured, error <= limit

@@ -56,7 +56,6 @@ class Nodes(_Table, frozen=True, kw_only=True):
 
 Triple = tuple[float, float, float]  # P newtons, phi and theta degrees
 Knot = tuple[float, float, float, float]  # t seconds, P, phi, theta
-UNLOADED: Triple = (0.0, 0.0, 0.0)
 
 
 class LoadHistory:

@@ -40,10 +40,8 @@ class SimulatedBus(Bus):
     which other programs of the process (on a virtual bus) or of the machine (on vcan) reach the same fingers."""
 
     def __init__(self, devices: Mapping[int, Device], sources: Mapping[int, SimulatedSource], **bus: str) -> None:
-        self.bus_options: dict[str, Any] = bus or {
-            "interface": "virtual",
-            "channel": f"tipforce-{os.getpid()}-{next(_numbers)}",
-        }
+        channel = f"tipforce-{os.getpid()}-{next(_numbers)}"
+        self.bus_options: dict[str, Any] = bus or {"interface": "virtual", "channel": channel}
         self._sources = dict(sources)
         super().__init__(open_bus(**self.bus_options))
         nodes_bus = open_bus(**self.bus_options)
@@ -75,12 +73,6 @@ class SimulatedBus(Bus):
     def close(self) -> None:
         """Stop the fingers and close the bus. Raises the error that ended their loop, if any."""
         self._closing.close()
-
-    def __enter__(self) -> SimulatedBus:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _wake(self) -> None:
         if self.bus_options.get("interface") == "virtual":

@@ -1,7 +1,5 @@
 """The elastic force at the gauges when the load changes faster than the tip follows: the structure's modes, stepped.
-Plain floats, for a node's simulated source. ``tipforce.sensor.dynamics.first_order_hold`` computes the coefficients and
-documents the theory; for a load that is linear during a step the result is exact for any step length.
-"""
+``tipforce.sensor.dynamics.first_order_hold`` computes the coefficients and documents the theory."""
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

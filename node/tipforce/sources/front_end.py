@@ -1,8 +1,6 @@
-"""Front end of a simulated node: the chain from the strain of the gauges to the counts of the converter. Bridge,
-amplifier, temperature, noise, conversion: only the configured parts are built. All of them work on the signal in
-microstrain referred to the gauges, so volts occur only once, as counts per microstrain. Errors here are ValueErrors
-that name the argument: this file keeps to the subset that MicroPython supports.
-"""
+"""Front end of a simulated node: bridge, amplifier, temperature, noise, conversion; only the configured parts are
+built. All work on the signal in microstrain at the gauges, so volts occur only once, as counts per microstrain. Errors
+are ValueErrors that name the argument: this file keeps to the subset that MicroPython supports."""
 
 import math
 
@@ -52,9 +50,9 @@ class Bridge:
     def apply(self, microstrains: "list[float]", _now_us: int) -> None:
         """The strain that a quarter bridge measures; below -1/k (no resistance left) the lower limit."""
         half = 0.5e-6 * self.gauge_factor
-        for k in range(len(microstrains)):
-            loss = 1.0 + half * microstrains[k]
-            microstrains[k] = microstrains[k] / loss if loss > 0.0 else -math.inf
+        for k, microstrain in enumerate(microstrains):
+            loss = 1.0 + half * microstrain
+            microstrains[k] = microstrain / loss if loss > 0.0 else -math.inf
 
 
 class Temperature:
@@ -75,9 +73,9 @@ class Temperature:
 
     def degrees(self, now_us: int) -> float:
         """Return the temperature in degC at a time; before the first and after the last point it is constant."""
-        if self._function is not None:
-            return self._function(1e-6 * now_us)
         t = 1e-6 * now_us
+        if self._function is not None:
+            return self._function(t)
         before = self._points[0]
         for after in self._points:
             if t < after[0]:

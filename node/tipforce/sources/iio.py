@@ -3,9 +3,8 @@ device that is removed or does not respond, or scans that do not arrive: no data
 increase: frozen (bit 9); a gauge that stays at an end of the range: wire break (bit 10); a supply channel outside its
 tolerance: supply (bit 11). A device that returns is opened again at the same place.
 
-Converters of another board are polled through libiio's network daemon (iiod), with ``pylibiio`` (extra ``iio``). Every
-exchange is a round trip, so a reading of three channels takes milliseconds; libiio's own time-out bounds how long a
-lost connection blocks the node's loop.
+Converters of another board are polled through libiio's network daemon (iiod): a round trip for each channel. libiio's
+time-out bounds how long a lost connection blocks the node's loop.
 """
 
 from __future__ import annotations
@@ -18,8 +17,7 @@ from canopen_device.running.loop import now_us
 from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.fingertip.source import Reading, Source
-from tipforce.sources.iio_buffer import TimestampError
-from tipforce.sources.iio_sysfs import UNKNOWN_TEMPERATURE, PolledDevice
+from tipforce.sources.iio_sysfs import UNKNOWN_TEMPERATURE, PolledDevice, TimestampError
 
 _LOG = logging.getLogger(__name__)
 WATCH_US = 40_000  # between two checks if no SYNC takes samples
@@ -54,8 +52,6 @@ class IioSource(Source):
         self.parts = list(parts)
         self.converter = converter
         self.count_min, self.count_max = ends
-        self.period_us = 500
-        self.faults = 0
         self._polled = all(part.polled for part in parts)
         self._silent_us = max(SILENT_US, 3 * scan_period_us)
         self._supply_fault = supply_fault
@@ -103,11 +99,8 @@ class IioSource(Source):
         if reading is None:
             return self.faults or None
         self._held = reading
-        faults: int = reading.faults
-        for k in range(len(reading.counts)):
-            if not self.count_min < reading.counts[k] < self.count_max:
-                faults |= 1 << k
-        return faults
+        at_end = [not self.count_min < count < self.count_max for count in reading.counts]
+        return int(reading.faults) | sum(saturated << k for k, saturated in enumerate(at_end))
 
     def close(self) -> None:
         """Stop all captures."""
@@ -118,8 +111,8 @@ class IioSource(Source):
         if self._read_us is None:
             self._read_us = now_us  # the time-out starts with the first call
         faults = 0
-        for k in range(len(self.parts)):
-            if self._fresh[k] is None or self._polled:
+        for k, fresh in enumerate(self._fresh):
+            if fresh is None or self._polled:
                 faults |= self._ask(k, now_us)
         if any(fresh is None for fresh in self._fresh):
             silent = now_us - self._read_us > self._silent_us
@@ -157,9 +150,8 @@ class IioSource(Source):
 
     def _wire_state(self, counts: Sequence[int], now_us: int) -> int:
         broken = 0
-        for k in range(len(counts)):
-            since_us = self._inside_us[k]
-            if since_us is None or self.count_min < counts[k] < self.count_max:
+        for k, (count, since_us) in enumerate(zip(counts, self._inside_us, strict=True)):
+            if since_us is None or self.count_min < count < self.count_max:
                 self._inside_us[k] = now_us
             elif now_us - since_us >= WIRE_BREAK_US:
                 broken = WIRE_BREAK

@@ -12,10 +12,9 @@ from typing import NamedTuple
 
 from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.sources import iio_buffer, iio_sysfs
+from tipforce.sources import iio_sysfs
 from tipforce.sources.iio import IioSource, RemoteDevice
-from tipforce.sources.iio_buffer import BufferedDevice
-from tipforce.sources.iio_sysfs import Device, PolledDevice
+from tipforce.sources.iio_sysfs import BufferedDevice, Device, PolledDevice
 from tipforce.sources.layout_file import BridgeTable
 
 _LOG = logging.getLogger(__name__)
@@ -164,16 +163,14 @@ def _part(device: Device, channels: list[str], capture: Capture, root: Path) -> 
 
 def _trigger(device: Device, capture: Capture, root: Path) -> str | None:
     """Return the trigger for buffered capture: the one named, the device's own, or a timer; None for polling."""
-    if capture.trigger:
-        known = iio_buffer.triggers(root)
-        if capture.trigger not in known:
-            raise InputError(f"--trigger {capture.trigger}: no such trigger; there are {', '.join(known) or 'none'}")
-        return capture.trigger
-    own = iio_buffer.own_trigger(device, root)
-    if own is not None:
-        return own
+    known = iio_sysfs.triggers(root)
+    if capture.trigger and capture.trigger not in known:
+        raise InputError(f"--trigger {capture.trigger}: no such trigger; there are {', '.join(known) or 'none'}")
+    trigger = capture.trigger or iio_sysfs.own_trigger(device, root)
+    if trigger is not None:
+        return trigger
     try:
-        return iio_buffer.make_hrtimer(_HRTIMER, capture.timer_hz, root, iio_buffer.HRTIMER)
+        return iio_sysfs.make_hrtimer(_HRTIMER, capture.timer_hz, root, iio_sysfs.HRTIMER)
     except EnvironmentLackError:
         if capture.mode == "buffer":
             raise

@@ -13,33 +13,13 @@ or gauges at any position along the beams, or both::
     ]
     gauge_length_mm = 1.0
 
-    [geometry]
-    a_m = 0.015
-    d_m = 0.015
-    r_m = 0.015
-    h1_m = 0.0004
-    h2_m = 0.000653
-    width_m = 0.01
-    youngs_modulus_pascals = 205e9
-
 points: three to eight. beam: "H", the horizontal one, or "V", the vertical one. side: on H the arm at negative
 ("left") or positive x ("right"), on V the face there. position_mm: the middle of the gauge, counted along the beam
 from the joint: on H from the middle of the body up to a, on V from the lower side of the horizontal beam up to d.
 face: on H "lower" (towards the fixture, the default) or "upper" (in the slit). gauge_length_mm documents the gauge
-of the design; it changes no number, because strain is linear along a beam. [geometry] needs all seven keys, in
-metres and Pa. A [bridge] table states the wiring of the gauges to a real converter (``BridgeTable``); only
-`tipforce node --source iio:...` reads it::
-
-    [bridge]
-    kind = "full"            # or "quarter", "half"
-    gauge_factor = 2.1
-    excitation_volts = 3.3
-    gain = 100.0             # of an amplifier before the converter; a list: one per gauge
-    zero_volts = 1.65        # at the converter with no strain
-
-The scaling 6120h to 6123h is computed from it and the converter's scale: (raw + offset) * scale is the voltage at the
-converter in millivolts (Linux, sysfs-bus-iio). The bridge gives gauge factor * arms * excitation volts per unit strain
-(``front_end.Bridge``), times the gain of an amplifier, on top of the voltage at no strain.
+of the design; it changes no number, because strain is linear along a beam. A table [geometry] has all of a_m, d_m, r_m,
+h1_m, h2_m, width_m and youngs_modulus_pascals (metres, Pa; ``sensor.Geometry``). A [bridge] table (``BridgeTable``,
+docs/hardware.md) states the wiring of the gauges to a real converter; only `tipforce node --source iio:...` reads it.
 """
 
 import math
@@ -64,9 +44,7 @@ class _Place(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     face: Literal["lower", "upper"] | None = None
 
 
-class _Body(msgspec.Struct):
-    """[geometry]. Unknown keys are ignored."""
-
+class _Body(msgspec.Struct):  # unknown keys are ignored
     a_m: float
     d_m: float
     r_m: float

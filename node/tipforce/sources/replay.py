@@ -40,7 +40,6 @@ class ReplaySource(Source):
             raise ValueError("replay: speed %r, allowed is a positive number" % speed)
         self.converter = converter
         self.count_min, self.count_max = ends
-        self.period_us = 500
         self._times_us = [time_us - times_us[0] for time_us in times_us]
         self._rows = rows
         self._temperatures = temperatures

@@ -45,7 +45,6 @@ class SimulatedSource(Source):
         self.rows = [tuple([float(x) for x in row]) for row in strain_per_newton]
         self.noise_microstrain = noise_microstrain
         self.offset_microstrain = list(offset_microstrain) if offset_microstrain else [0.0] * len(self.rows)
-        self.period_us = 500
         self.temperature = temperature
         self.load = (0.0, 0.0, 0.0)  # P newtons, phi degree, theta degree
         self.fault = 0

@@ -19,7 +19,7 @@ from tipforce.output_file import HTML, JSON_LINES, save_figure, write_file
 from tipforce_lab import plotting as figures
 from tipforce_lab.report import text
 from tipforce_lab.report.run import Item, Report
-from tipforce_lab.report.study import Case, Study
+from tipforce_lab.report.study import Case, Grid, Study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,12 +43,10 @@ def write(report: Report, directory: Path, json_line: Callable[[dict[str, Any]],
 
 def style() -> str:
     """Return the style sheet of the page, with the colours of the plots for light and dark mode."""
+    colours = {**COLOURS, "grid": (GRID, "#3a4046"), "band": (BAND, "#9aa3ab")}
     light, night = (
-        "".join(f".f-{name}{{fill:{value}}}.s-{name}{{stroke:{value}}}" for name, value in colours.items())
-        for colours in (
-            {name: pair[0] for name, pair in COLOURS.items()} | {"grid": GRID, "band": BAND},
-            {name: pair[1] for name, pair in COLOURS.items()} | {"grid": "#3a4046", "band": "#9aa3ab"},
-        )
+        "".join(f".f-{name}{{fill:{pair[mode]}}}.s-{name}{{stroke:{pair[mode]}}}" for name, pair in colours.items())
+        for mode in (0, 1)
     )
     paper = ".f-paper{fill:var(--paper)}.s-paper{stroke:var(--paper)}.label{fill:var(--ink)}"
     sheets = resources.files(__package__)
@@ -108,8 +106,8 @@ _GRID = (
 
 def _head(report: Report) -> list[str]:
     machine = "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in report.machine.items())
-    links = [(study.key, study.title) for study in report.studies]
-    links += [(grid.key, grid.title) for grid in report.grids]
+    titled: list[Study | Grid] = [*report.studies, *report.grids]
+    links = [(part.key, part.title) for part in titled]
     links += [("cases", "Extreme cases")] if report.cases else []
     links += [("left-out", "Left out")] if report.left_out else []
     entries = "".join(f'<li><a href="#{escape(key)}">{escape(title)}</a></li>' for key, title in links)
@@ -121,27 +119,21 @@ def _head(report: Report) -> list[str]:
     if advices.rows:
         note = "The least processor time among those whose error is small enough for the need."
         parts += [f'<h2 id="advice">{advices.title}</h2>', f'<p class="note">{note}</p>', _table("advice", advices)]
-    return [
-        *parts,
-        f"<nav><h2>Contents</h2><ul>{entries}</ul></nav>",
-        f"<details><summary>Run of {escape(text.headline(report))}: machine and versions</summary><dl>{machine}</dl>",
-        "</details>",
-    ]
+    run = f"<summary>Run of {escape(text.headline(report))}: machine and versions</summary><dl>{machine}</dl>"
+    return [*parts, f"<nav><h2>Contents</h2><ul>{entries}</ul></nav>", f"<details>{run}", "</details>"]
 
 
 def _study(study: Study) -> str:
-    items = _items(text.study_items(study))
-    points, key = sum(len(series.points) for series in study.series), escape(study.key)
-    table = _table("points", text.study_table(study))
-    return "\n".join(
-        (
-            f'<section class="study" id="{key}"><h3 id="{key}-title">{escape(study.title)}</h3>',
-            f"<figure>{svg(study)}</figure>",
-            f"<ul>{items}</ul>" if items else "",
-            f"<details><summary>All {points} points as a table</summary>{table}</details>",
-            f'<p class="reference">Reference: {escape(text.shown_reference(study))}.</p></section>',
-        )
+    items, table, key = _items(text.study_items(study)), _table("points", text.study_table(study)), escape(study.key)
+    points = sum(len(series.points) for series in study.series)
+    parts = (
+        f'<section class="study" id="{key}"><h3 id="{key}-title">{escape(study.title)}</h3>',
+        f"<figure>{svg(study)}</figure>",
+        f"<ul>{items}</ul>" if items else "",
+        f"<details><summary>All {points} points as a table</summary>{table}</details>",
+        f'<p class="reference">Reference: {escape(text.shown_reference(study))}.</p></section>',
     )
+    return "\n".join(parts)
 
 
 def _cases(cases: list[Case]) -> list[str]:
@@ -162,13 +154,12 @@ def _table(name: str, table: text.Table, row_ids: str | None = None) -> str:
     classes = {head: ' class="number"' if kind in text.NUMBERS else "" for head, kind in table.heads.items()}
     head = "".join(f'<th scope="col"{kind}>{escape(title)}</th>' for title, kind in classes.items())
     rows = []
-    for first, *others in table.rows:
-        heading = first if isinstance(first, text.Cell) else text.Cell(first)
+    for row in table.rows:
+        heading, *others = (cell if isinstance(cell, text.Cell) else text.Cell(cell) for cell in row)
         shown = escape(heading.text)
         shown = f'<a href="#{escape(heading.link)}">{shown}</a>' if heading.link else shown
         cells = [f'<th scope="row">{shown}</th>']
-        for title, cell in zip(list(classes)[1:], others, strict=True):
-            value, kind, note, _ = cell if isinstance(cell, text.Cell) else text.Cell(cell)
+        for title, (value, kind, note, _link) in zip(list(classes)[1:], others, strict=True):
             attributes = f' class="{kind}"' if kind else classes[title]
             attributes += f' title="{escape(note)}"' if note else ""
             cells.append(f'<td data-name="{escape(title)}"{attributes}>{escape(value)}</td>')
@@ -249,10 +240,9 @@ def _draw_series(axes: Axes, study: Study, number: int, floor: float) -> None:
         markersize=5, linewidth=1.3, elinewidth=1.0, capsize=2.5, label=series.method,
     )  # fmt: skip
     for point, at_s in drawn:
-        if point.rms_error is not None and point.rms_error > 0.0:
-            axes.plot(
-                [at_s] * 2, [point.rms_error, max(point.error, floor)], color=colour, linewidth=0.8, linestyle=":"
-            )
+        if point.rms_error:
+            down = [point.rms_error, max(point.error, floor)]
+            axes.plot([at_s] * 2, down, color=colour, linewidth=0.8, linestyle=":")
             axes.plot([at_s], [point.rms_error], "_", color=colour, markersize=5)
 
 
@@ -282,13 +272,12 @@ def svg(study: Study) -> str:
     text = out.getvalue()
     text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->|<style.*?</style>", "", text[text.index("<svg") :], flags=re.S)
     head, body = text.split(">", 1)
-    box = re.search(r'viewBox="[^"]*"', head)
-    assert box is not None
+    (box,) = re.findall(r'viewBox="[^"]*"', head)
     body = re.sub(r'\sstyle="([^"]*)"', _attributes, body).replace("xlink:href=", "href=")
     for pattern, renamed in ((r'id="([^"]*)"', rf'id="{key}-\1"'), (r'href="#([^"]*)"', rf'href="#{key}-\1"'),
                              (r"url\(#([^)]*)\)", rf"url(#{key}-\1)"), (r"\n\s*", "\n")):  # fmt: skip
         body = re.sub(pattern, renamed, body)
-    return f'<svg {box[0]} role="img" aria-labelledby="{key}-title">{body}'
+    return f'<svg {box} role="img" aria-labelledby="{key}-title">{body}'
 
 
 def _attributes(style: re.Match[str]) -> str:

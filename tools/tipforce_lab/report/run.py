@@ -23,7 +23,7 @@ STUDIES: dict[str, tuple[str, str]] = {
 }
 """Key -> (module with STEPS and studies(effort, advance), subject)."""
 STABILITY = "stability"
-_EXTRAS = {"scipy": "science", "matplotlib": "plot", "skfem": "fem"}
+_EXTRAS, _ALL = {"scipy": "science", "matplotlib": "plot", "skfem": "fem"}, '"tipforce[report]"'
 _VERSIONS = ("numpy", "scipy", "scikit-fem", "matplotlib", "python-can", "canopen", "cantools")
 
 Advance = Callable[[], None]
@@ -62,37 +62,28 @@ class Report:
         )
 
 
-Selection = tuple[list[str], list[Case]]
-"""Keys of STUDIES, and cases."""
-
-
-def selected(only: str | None) -> Selection:
-    """``only``: study keys, "stability", case keys, areas of cases and patterns of them, with commas; None for all.
-    Raises InputError for an unknown word."""
+def selected(only: str | None) -> tuple[list[str], list[Case]]:
+    """Return keys of STUDIES, and cases. ``only``: study keys, "stability", case keys, areas of cases and patterns of
+    them, with commas; None for all. Raises InputError for an unknown word."""
     known = all_cases()
     if only is None:
         return list(STUDIES), known
     words = [word for word in (part.strip() for part in only.split(",")) if word] or [only]
-    keys, patterns = [key for key in STUDIES if key in words], list[str]()
-    for word in words:
-        of_word = ["*"] if word == STABILITY else [word, f"{word}.*"]
-        if word in keys:
-            continue
-        if word != STABILITY and not _matching(known, of_word):
+    keys, chosen = [key for key in STUDIES if key in words], set[str]()
+    for word in (word for word in words if word not in keys):
+        patterns = ("*",) if word == STABILITY else (word, f"{word}.*")
+        fitting = {case.key for case in known if any(fnmatchcase(case.key, pattern) for pattern in patterns)}
+        if word != STABILITY and not fitting:
             allowed = f"allowed are {', '.join([*STUDIES, STABILITY])} and the cases of --list"
             raise InputError(f"--only {word!r}: {allowed}")
-        patterns += of_word
-    return keys, _matching(known, patterns)
-
-
-def _matching(cases: list[Case], patterns: list[str]) -> list[Case]:
-    return [case for case in cases if any(fnmatchcase(case.key, pattern) for pattern in patterns)]
+        chosen |= fitting
+    return keys, [case for case in known if case.key in chosen]
 
 
 class Run:
     """One run: first the list of steps (the length of the progress bar), then ``report``."""
 
-    def __init__(self, selection: Selection, effort: Effort, date: str) -> None:
+    def __init__(self, selection: tuple[list[str], list[Case]], effort: Effort, date: str) -> None:
         keys, self._cases = selection
         self.report = Report(date, effort, machine())
         modules = {key: self._guarded(key, partial(importlib.import_module, STUDIES[key][0])) for key in keys}
@@ -121,11 +112,7 @@ class Run:
             return work()
         except ModuleNotFoundError as error:
             name = (error.name or "").split(".")[0]
-            hint = (
-                f'"tipforce[{_EXTRAS[name]}]", or "tipforce[report]" for all'
-                if name in _EXTRAS
-                else '"tipforce[report]"'
-            )
+            hint = f'"tipforce[{_EXTRAS[name]}]", or "tipforce[report]" for all' if name in _EXTRAS else _ALL
             lack = LeftOut(key, f"{name} is not installed: pip install {hint}", False)
             if name in ("tipforce", "tipforce_lab"):
                 lack = LeftOut(key, f"not part of this installation ({error.name})", True)

@@ -138,13 +138,11 @@ def timed_together(
         while (elapsed_s := _elapsed(work, count)[0]) < at_least_s:
             count = max(count * 2, int(count * at_least_s / max(elapsed_s, 1e-9)))
         repeats.append(count)
-    runs: list[list[tuple[float, float]]] = [[] for _ in works]
-    for _ in range(effort.pick(3, 7)):
-        for work, count, elapsed in zip(works, repeats, runs, strict=True):
-            elapsed.append(_elapsed(work, count))
+    jobs = list(zip(works, repeats, strict=True))
+    runs = [[_elapsed(work, count) for work, count in jobs] for _ in range(effort.pick(3, 7))]
     timings = []
-    for count, elapsed in zip(repeats, runs, strict=True):
-        wall_s, cpu_s = ([one / (count * units) for one in column] for column in zip(*elapsed, strict=True))
+    for count, elapsed in zip(repeats, zip(*runs, strict=True), strict=True):
+        wall_s, cpu_s = ([seconds / (count * units) for seconds in column] for column in zip(*elapsed, strict=True))
         timings.append(quartiles(wall_s, cpu_s))
     return timings
 

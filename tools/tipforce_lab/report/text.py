@@ -55,12 +55,11 @@ NUMBERS = ("number", "error", "time")
 def verdict(report: Report) -> list[str]:
     """Return sentences: what the grids show, what held, what did not, how the references were checked."""
     sentences, failed = [_grid(grid) for grid in report.grids], [case.key for case in report.cases if not case.held]
+    claims = f"{len(report.cases)} claims on extreme input"
     if failed:
-        sentences.append(
-            f"{len(failed)} of {len(report.cases)} claims on extreme input do NOT hold: {', '.join(failed)}."
-        )
+        sentences.append(f"{len(failed)} of {claims} do NOT hold: {', '.join(failed)}.")
     elif report.cases:
-        sentences.append(f"All {len(report.cases)} claims on extreme input hold.")
+        sentences.append(f"All {claims} hold.")
     checked = [study.check_difference for study in report.studies if study.check_difference is not None]
     if checked:
         sentences.append(
@@ -76,10 +75,8 @@ def verdict(report: Report) -> list[str]:
 def advice_table(report: Report) -> Table:
     """Return for each need of the studies the method with the least processor time whose error is small enough."""
     heads = {"need": "", "method": "", "error": "number", "processor time": ""}
-    rows: list[list[str | Cell]] = [
-        [Cell(need.text, link=study.key), *_choice(study, need)]
-        for study in report.studies if study.series for need in study.needs
-    ]  # fmt: skip
+    pairs = ((study, need) for study in report.studies if study.series for need in study.needs)
+    rows: list[list[str | Cell]] = [[Cell(need.text, link=study.key), *_choice(study, need)] for study, need in pairs]
     return Table("Which method for which need", heads, rows)
 
 
@@ -156,16 +153,14 @@ def print_report(console: Console, report: Report) -> None:
     """Print the whole report."""
     console.print("tipforce report", style="bold", end="")
     console.print(f", {headline(report)}")
-    console.print(", ".join(f"{name} {value}" for name, value in report.machine.items()))
-    for sentence in verdict(report):
-        console.print(sentence)
+    machine = ", ".join(f"{name} {value}" for name, value in report.machine.items())
+    console.print("\n".join([machine, *verdict(report)]))
     advices = advice_table(report)
     if advices.rows:
         _print_table(console, advices)
     for study in report.studies:
         _print_table(console, study_table(study))
-        for line in (f"reference: {shown_reference(study)}", *(f"- {item}" for item in study_items(study))):
-            console.print(line)
+        console.print("\n- ".join([f"reference: {shown_reference(study)}", *study_items(study)]))
     for grid in report.grids:
         _print_table(console, grid_table(grid))
         for item in grid_items(grid):
@@ -236,13 +231,10 @@ def grid_table(grid: Grid) -> Table:
 
 def case_table(title: str, cases: Sequence[Case]) -> Table:
     """Return extreme cases: what each claims, and what the test observed."""
-    rows: list[list[str | Cell]] = [
-        [
-            case.key, Cell(case.outcome, "held") if case.held else Cell(f"NOT {case.outcome}", "broken"),
-            f"{case.situation}: {case.claim}", case.figures,
-        ]
-        for case in cases
-    ]  # fmt: skip
+    rows: list[list[str | Cell]] = []
+    for case in cases:
+        outcome = Cell(case.outcome, "held") if case.held else Cell(f"NOT {case.outcome}", "broken")
+        rows.append([case.key, outcome, f"{case.situation}: {case.claim}", case.figures])
     return Table(title, {"case": "key", "outcome": "word", "situation: claim": "claim", "seen": "seen"}, rows)
 
 

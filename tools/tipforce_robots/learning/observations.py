@@ -44,13 +44,11 @@ def observation_space(fingers: int) -> spaces.Dict:
     if fingers < 1:
         raise InputError(f"fingers = {fingers}: allowed is 1 or more")
     largest = np.tile(LARGEST, (fingers, 1))
-    return spaces.Dict(
-        {
-            "values": spaces.Box(np.tile(_LEAST, (fingers, 1)), largest),
-            "uncertainties": spaces.Box(np.zeros_like(largest), largest),
-            "valid": spaces.MultiBinary((fingers, 3)),
-        }
-    )
+    boxes = {
+        "values": spaces.Box(np.tile(_LEAST, (fingers, 1)), largest),
+        "uncertainties": spaces.Box(np.zeros_like(largest), largest),
+    }
+    return spaces.Dict({**boxes, "valid": spaces.MultiBinary((fingers, 3))})
 
 
 def observation(row: Mapping[str, Contact] | Mapping[str, TwinSample]) -> Observation:
@@ -89,30 +87,23 @@ class Observations:
         return len(self.t_s)
 
     def windows(self, length: int, stride: int = 1) -> Observations:
-        """Return windows of ``length`` observations in sequence, one each ``stride``; none crosses a gap.
-
-        Arrays get the shape (m, length, ...): views where the recording has no gap, otherwise copies. A gap is more
-        than 1.5 median periods. Raises InputError for a length or stride below 1.
-        """
+        """Return windows (m, length, ...), one each ``stride``: views, or copies where a gap of more than 1.5 median
+        periods, which none crosses, is left out. Raises InputError for a length or stride below 1."""
         if length < 1 or stride < 1:
             raise InputError(f"windows of length {length}, stride {stride}: allowed is 1 or more")
-        starts = max(0, len(self) - length + 1)
+        arrays: list[npt.NDArray[Any]] = [getattr(self, field.name) for field in fields(self)]
+        starts = len(self) - length + 1
+        if starts < 1:
+            return Observations(*(np.zeros((0, length, *array.shape[1:]), array.dtype) for array in arrays))
         whole = np.ones(starts, dtype=np.bool_)
-        if length > 1 and starts:
+        if length > 1:
             steps = np.diff(self.t_s)
             gaps = np.cumsum(np.concatenate([[0], steps > _GAP_PERIODS * np.median(steps)]))
             whole = gaps[length - 1 :] == gaps[:starts]
         chosen = whole[::stride]
-        arrays: dict[str, npt.NDArray[Any]] = {}
-        for field in fields(self):
-            array = getattr(self, field.name)
-            if not starts:
-                arrays[field.name] = np.zeros((0, length, *array.shape[1:]), array.dtype)
-                continue
-            view = np.lib.stride_tricks.sliding_window_view(array, length, axis=0)
-            view = np.moveaxis(view, -1, 1)[::stride]
-            arrays[field.name] = view if chosen.all() else view[chosen]
-        return Observations(**arrays)
+        windows = (np.lib.stride_tricks.sliding_window_view(array, length, axis=0) for array in arrays)
+        views = (np.moveaxis(view, -1, 1)[::stride] for view in windows)
+        return Observations(*(view if chosen.all() else view[chosen] for view in views))
 
 
 def recorded_observations(log: Log, node_ids: Sequence[int] | None = None) -> Observations:
@@ -121,7 +112,7 @@ def recorded_observations(log: Log, node_ids: Sequence[int] | None = None) -> Ob
     ``node_ids``: fingers in order, default all of the log. A finger without a sample within half a period of the first
     finger's is not valid in that observation. Raises InputError for nodes that the log does not have.
     """
-    chosen = list(log) if node_ids is None else list(node_ids)
+    chosen = list(log if node_ids is None else node_ids)
     if not chosen or not set(chosen) <= set(log):
         raise InputError(f"nodes {chosen}: the log has {', '.join(map(str, log)) or 'none'}")
     t_s = log[chosen[0]].t_s

@@ -36,16 +36,13 @@ class GraspEnv(gymnasium.Env[dict[str, Any], npt.NDArray[np.float32]]):
     def __init__(self, noise_microstrain: float = 0.5) -> None:
         self._model = grasp_model()
         self._data = mujoco.MjData(self._model)
-        self._tips = Fingertips(
-            self._model, {"thumb": "thumb_tip", "index": "index_tip"}, noise_microstrain=noise_microstrain
-        )
+        sites = {"thumb": "thumb_tip", "index": "index_tip"}
+        self._tips = Fingertips(self._model, sites, noise_microstrain=noise_microstrain)
         self._inertia = self._model.body("ball").inertia / self._model.body("ball").mass
         low, high = (np.array([newtons], dtype=np.float32) for newtons in ASKED_NEWTONS)
         self._asked = low
-        fingers = observation_space(2)
-        self.observation_space = gymnasium.spaces.Dict(
-            {**fingers.spaces, "asked_newtons": gymnasium.spaces.Box(low, high)}
-        )
+        asked = gymnasium.spaces.Box(low, high)
+        self.observation_space = gymnasium.spaces.Dict({**observation_space(2).spaces, "asked_newtons": asked})
         self.action_space = gymnasium.spaces.Box(0.0, 1.0, (1,), np.float32)
 
     def reset(

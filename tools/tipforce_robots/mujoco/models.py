@@ -59,12 +59,10 @@ def fingertip_mjcf(
             "y": 'type="slide" axis="0 1 0"',
             "turn": f'type="hinge" axis="0 0 1" pos="{_numbers(0.0, hinge_m, 0.0)}"',
         }
-        joints = "".join(
-            f"""
-        <joint name="{n}{name}" {kind} stiffness="{_numbers(springs[name][0])}" damping="{_numbers(springs[name][1])}" \
+        for name, (stiffness, damping) in springs.items():
+            joints += f"""
+        <joint name="{n}{name}" {kinds[name]} stiffness="{_numbers(stiffness)}" damping="{_numbers(damping)}" \
 limited="false" />"""
-            for name, kind in kinds.items()
-        )
     half_width_m, unseen = 0.5 * g.width_m, 'mass="0" contype="0" conaffinity="0"'  # by the collisions
     vertices: list[float] = []  # of the half cylinder
     for angle in (math.pi * k / FACETS for k in range(FACETS + 1)):

@@ -51,10 +51,9 @@ class TwinNodes:
         """Hand the frames received over to the nodes, and send theirs; wait up to ``timeout_s`` for the first one.
         Raises InputError where the time of ``data`` went back without a ``Fingertips.reset``."""
         self._keep_time()
-        frame = self._port.receive(timeout_s)
-        while frame is not None:
+        while (frame := self._port.receive(timeout_s)) is not None:
             self._deliver(frame)
-            frame = self._port.receive(0.0)
+            timeout_s = 0.0
 
     def follow_sync(self, step: Step, period_s: float, stop: Callable[[], bool]) -> None:
         """Advance the model by ``period_s`` for each SYNC, and sample after it, until ``stop()``. Between SYNCs the

@@ -19,9 +19,8 @@ from tipforce.samples import reasons
 from tipforce.samples.contact import Contact
 from tipforce.samples.reasons import Status
 from tipforce.scene.delivered import CALIBRATION, beam_calibration, check_noise, stored_calibration
+from tipforce.sensor import FABRICATED, strain_matrix
 from tipforce.sensor.contact import scalar
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 
 try:
@@ -220,10 +219,8 @@ class Fingertips:
         self.devices: list[Device] = []
         """The nodes, in the order of the fingers."""
         for k, node_id in enumerate(self.node_ids.values()):
-            source = SimulatedSource(
-                self._rows, self._noise_microstrain, seed=1000 * seed + node_id, forces=self._forces(k)
-            )
-            store = MemoryStore()
+            own_seed, store = 1000 * seed + node_id, MemoryStore()
+            source = SimulatedSource(self._rows, self._noise_microstrain, seed=own_seed, forces=self._forces(k))
             store.groups[CALIBRATION] = self._stored
             device = fingertip_node(node_id, source, len(self._rows), 1000 + node_id, store.save, store.load)
             self.boot_frames += device.step(0)[0]

@@ -1,6 +1,5 @@
 """Samples of one fingertip as ROS 2 messages, and the state of the hand as diagnostics; the bridge that publishes them
-from a feed, diagnostics once a second and at each event; and the file of a hand for ros2_canopen (bus.yml), with the
-EDS files in the dialect of Lely's dcfgen.
+from a feed; and the file of a hand for ros2_canopen (bus.yml), with EDS files in the dialect of Lely's dcfgen.
 
 The frame ``<finger>_tip`` has its origin at the centre of the tip: x is the direction of F3 and y of F1
 (docs/mechanics.md), z is normal to the plane of the beams, right-handed. So the force is P (cos phi, sin phi, 0), and
@@ -24,9 +23,9 @@ from tipforce.samples import reasons
 from tipforce.samples.columns import Block
 from tipforce.samples.reasons import Status
 from tipforce_robots.ros2 import cdr
-from tipforce_robots.ros2.cdr import CONTACT, DIAGNOSTICS, EMPTY, FINGERTIP, WRENCH
 
 if TYPE_CHECKING:
+    from tipforce.host.decoding.services import BusEvent
     from tipforce.host.hand.events import Event
     from tipforce.host.hand.file import HandFile
     from tipforce.output_file import Kind
@@ -53,9 +52,9 @@ class Tip:
         """Messages so far."""
         self._radius_m = tip_radius_m
         torque = {"wrench.force.z": 0.0, "wrench.torque.x": 0.0, "wrench.torque.y": 0.0}
-        self._wrench = cdr.Layout(WRENCH, {"header.frame_id": frame_id, **torque})
+        self._wrench = cdr.Layout(cdr.WRENCH, {"header.frame_id": frame_id, **torque})
         constants = {"header.frame_id": frame_id, "node_id": node_id}
-        self._contact = cache(lambda gauges: cdr.Layout(CONTACT, constants, {"microstrain": gauges}))
+        self._contact = cache(lambda gauges: cdr.Layout(cdr.CONTACT, constants, {"microstrain": gauges}))
         self._begin_period()
 
     def _begin_period(self) -> None:
@@ -82,9 +81,9 @@ class Tip:
             contacts["force" + suffix] = values[:, 0]
             contacts["direction" + suffix], contacts["angle" + suffix] = np.radians(values[:, 1:]).T
         for t_ns, message in zip(samples.t_ns.tolist(), cdr.split(contacts), strict=True):
-            yield CONTACT, t_ns, message
+            yield cdr.CONTACT, t_ns, message
         for t_ns, message in zip(samples.t_ns[known].tolist(), cdr.split(rows), strict=True):
-            yield WRENCH, t_ns, message
+            yield cdr.WRENCH, t_ns, message
 
     def _judge(self, samples: Block, wrenches: int) -> None:
         known = np.isfinite(samples.contact[:, 0])
@@ -93,10 +92,10 @@ class Tip:
         counts["without force"] += int(np.count_nonzero(~known))
         counts["wrenches"] += wrenches
         self.wrenches += wrenches
-        self._unknown |= int(np.bitwise_or.reduce(samples.status[~known], initial=0))
-        if not known.all():  # a bit that should be set and is not
-            calibrated = samples.status[~known] & np.uint16(Status.CALIBRATED)
-            self._unknown &= 0xFFFF if calibrated.all() else ~int(Status.CALIBRATED)
+        unknown = samples.status[~known]
+        self._unknown |= int(np.bitwise_or.reduce(unknown, initial=0))
+        if not (unknown & np.uint16(Status.CALIBRATED)).all():  # a bit that should be set and is not
+            self._unknown &= ~int(Status.CALIBRATED)
         self._doubtful |= int(np.bitwise_or.reduce(samples.status[known], initial=0))
         self._last = samples
 
@@ -125,15 +124,15 @@ def diagnostic(name: str, hardware_id: str, level: int, message: str, values: Ma
     return {"level": level, "name": name, "message": message, "hardware_id": hardware_id, "values": pairs}
 
 
-def of_event(name: str, hardware_id: str, kind: str, text: str, **values: str) -> dict[str, Any]:
+def of_event(name: str, hardware_id: str, event: Event | BusEvent, **values: str) -> dict[str, Any]:
     """Return the DiagnosticStatus of an event of a hand or a log."""
-    message = f"{kind.replace('_', ' ')}: {text}"
-    return diagnostic(name, hardware_id, _LEVELS.get(kind, OK), message, {"event": kind, **values})
+    message = f"{event.kind.replace('_', ' ')}: {event.text}"
+    return diagnostic(name, hardware_id, _LEVELS.get(event.kind, OK), message, {"event": event.kind, **values})
 
 
 def array(t_ns: int, status: list[dict[str, Any]]) -> bytes:
     """Serialise a DiagnosticArray."""
-    return cdr.encode(DIAGNOSTICS, {"header": {"stamp": cdr.stamp(t_ns), "frame_id": ""}, "status": status})
+    return cdr.encode(cdr.DIAGNOSTICS, {"header": {"stamp": cdr.stamp(t_ns), "frame_id": ""}, "status": status})
 
 
 def ros_name(name: str, node_id: int) -> str:
@@ -149,14 +148,12 @@ class PublishedTip(Tip):
         self.ros_name = ros_name(finger.name, finger.node_id)
         frame_id, topic, r_m = f"{self.ros_name}_tip", f"{prefix}/{self.ros_name}", finger.geometry.r_m
         super().__init__(diagnostics_name(prefix, self.ros_name), finger.node_id, frame_id, r_m)
-        kinds = {CONTACT: "contact", WRENCH: "wrench"}
-        self.publishers = {
-            kind: domain.publisher(f"{topic}/{name}", kind, "sensor data") for kind, name in kinds.items()
-        }
-        self._info = domain.publisher(f"{topic}/info", FINGERTIP, "static")
+        kinds = ((cdr.CONTACT, "contact"), (cdr.WRENCH, "wrench"))
+        self.publishers = {kind: domain.publisher(f"{topic}/{name}", kind, "sensor data") for kind, name in kinds}
         about = {"name": finger.label, "node_id": finger.node_id, "gauges": gauges, "tip_radius": r_m}
-        header = {"stamp": cdr.stamp(t_ns), "frame_id": frame_id}
-        self._info.publish(cdr.encode(FINGERTIP, {"header": header, **about}), t_ns)
+        info = {"header": {"stamp": cdr.stamp(t_ns), "frame_id": frame_id}, **about}
+        self._info = domain.publisher(f"{topic}/info", cdr.FINGERTIP, "static")
+        self._info.publish(cdr.encode(cdr.FINGERTIP, info), t_ns)
 
     def publish(self, samples: Block, numbers: npt.NDArray[np.int64]) -> None:
         """Publish a contact for each sample, with its number (k,), and a wrench where the force is known."""
@@ -174,7 +171,7 @@ class Bridge:
 
     def __init__(self, feed: Feed, domain: RosDomain, prefix: str, allow_tare: bool) -> None:
         self._feed, self._domain, self._prefix, self._allow_tare = feed, domain, prefix, allow_tare
-        self._diagnostics = domain.publisher("/diagnostics", DIAGNOSTICS, "events")
+        self._diagnostics = domain.publisher("/diagnostics", cdr.DIAGNOSTICS, "events")
         self._due_ns = 0
         self._period_rows = self._overrun = 0
         self.rows = 0
@@ -211,7 +208,7 @@ class Bridge:
         tip = PublishedTip(self._domain, self._prefix, finger, self._feed.gauges, now_ns)
         self.tips[finger.node_id] = tip
         if self._allow_tare:
-            self._tares.append((tip, self._domain.subscription(f"{self._prefix}/{name}/tare", EMPTY)))
+            self._tares.append((tip, self._domain.subscription(f"{self._prefix}/{name}/tare", cdr.EMPTY)))
 
     def report(self, now_ns: int) -> None:
         """Publish the state of the hand, and begin the next period."""
@@ -248,7 +245,7 @@ class Bridge:
         tip = self.tips.get(event.node_id)
         name = tip.name if tip else diagnostics_name(self._prefix, f"node {event.node_id}" if event.node_id else "bus")
         code = f"{event.code:04X}h" if event.kind == "emcy" else ""
-        return of_event(name, tip.hardware_id if tip else "", event.kind, event.text, code=code)
+        return of_event(name, tip.hardware_id if tip else "", event, code=code)
 
     def _send(self, now_ns: int, status: list[dict[str, Any]]) -> None:
         self._diagnostics.publish(array(now_ns, status), now_ns)
@@ -276,11 +273,8 @@ _FINGER = """
 
 
 def write_ros2_bus(hand: HandFile, folder: Path) -> list[Path]:
-    """Write bus.yml and an EDS for each number of gauges; return the paths.
-
-    ``sync_period`` is in microseconds; 0: another device sends the SYNC. Raises InputError if the folder cannot be
-    written or holds other files of these names, WriteError, and InputError for a finger with the node-id of the master.
-    """
+    """Write bus.yml (``sync_period`` in microseconds; 0: another device sends the SYNC) and an EDS for each number of
+    gauges; return the paths. Raises as ``write_files``, and InputError for a finger with the node-id of the master."""
     from tipforce.dictionary.eds import eds_text, file_name, lely_dialect
     from tipforce.output_file import BUS_CONFIGURATION, EDS, write_files
 

@@ -132,10 +132,8 @@ class Layout:
                 code = _CODES[field.kind]
                 if count:
                     _align(self._template, struct.calcsize(code))
-                self._places[path] = (
-                    (f"<{code}" if count == 1 == field.size else f"({count},)<{code}"),
-                    len(self._template),
-                )
+                form = f"<{code}" if count == 1 == field.size else f"({count},)<{code}"
+                self._places[path] = form, len(self._template)
                 self._template += bytes(count * struct.calcsize(code))
 
 

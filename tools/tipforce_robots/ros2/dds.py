@@ -7,7 +7,6 @@ import os
 import re
 from collections.abc import Callable, Mapping
 from functools import cache
-from importlib.metadata import version
 from typing import Any, Literal
 
 from cyclonedds.core import DDSException, Policy, Qos
@@ -25,7 +24,6 @@ Profile = Literal["sensor data", "events", "static"]
 HIGHEST_DOMAIN = 232
 """The ports of higher domains are over 65535 (DDSI-RTPS 2.5, 9.6.2.3)."""
 _ACK_NS = 100_000_000  # a reliable writer waits for a slow reader at most so long
-_VERSION = int(version("cyclonedds").partition(".")[0])
 # Cyclone DDS asks a reader of Fast DDS for the minimal object of its type and receives the complete one: they never
 # match if the type has a sequence. Without information about types they match by the type's name.
 _FAST_DDS = (
@@ -110,15 +108,11 @@ def loopback_only(environment: Mapping[str, str]) -> bool:
     return wanted.upper() == "LOCALHOST" if wanted else environment.get("ROS_LOCALHOST_ONLY", "0") == "1"
 
 
-def configuration(environment: Mapping[str, str], cyclone_version: int = _VERSION) -> str:
-    """Return the configuration of Cyclone DDS: that of the user, CYCLONEDDS_URI, before what ROS 2 needs beside it. Of
-    two values Cyclone takes the later one. Versions before 11 do not start with an element that they do not know."""
-    parts = [
-        _FAST_DDS if cyclone_version >= 11 else "",
-        environment.get("CYCLONEDDS_URI", ""),
-        _LOOPBACK if loopback_only(environment) else "",
-    ]
-    return ",".join(filter(None, parts))
+def configuration(environment: Mapping[str, str]) -> str:
+    """Return the configuration of Cyclone DDS: that of the user, CYCLONEDDS_URI, between what ROS 2 needs beside it. Of
+    two values Cyclone takes the later one."""
+    local = _LOOPBACK if loopback_only(environment) else ""
+    return ",".join(filter(None, (_FAST_DDS, environment.get("CYCLONEDDS_URI", ""), local)))
 
 
 def namespace(text: str) -> str:

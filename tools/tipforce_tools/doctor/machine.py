@@ -24,7 +24,7 @@ from tipforce.host.network.bus import Bus
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, range_of_bits
 from tipforce.host.network.find import find_nodes
 from tipforce.host.network.interfaces import Link, interfaces, links, open_bus
-from tipforce.sources import iio_buffer, iio_sysfs
+from tipforce.sources import iio_sysfs
 from tipforce.watching.findings import RATE, Finding, Observed, findings, of_the_wire, shown
 
 if TYPE_CHECKING:
@@ -171,11 +171,11 @@ def _device_checks(device: Device, device_files: Path) -> Iterator[Finding]:
 
 def _buffering(devices: list[Device], root: Path, configfs: Path | None) -> Finding:
     topic = "ADC trigger"
-    if own := [name for device in devices if (name := iio_buffer.own_trigger(device, root))]:
+    if own := [name for device in devices if (name := iio_sysfs.own_trigger(device, root))]:
         return Finding(topic, "ok", f"data-ready triggers: {', '.join(own)}", "used by --capture auto")
-    if (configfs or iio_buffer.HRTIMER).is_dir():
+    if (configfs or iio_sysfs.HRTIMER).is_dir():
         return Finding(topic, "ok", "timer triggers are available", "used by --capture auto, rate by --scan-rate")
-    if others := ", ".join(iio_buffer.triggers(root)):
+    if others := ", ".join(iio_sysfs.triggers(root)):
         return Finding(topic, "ok", f"triggers: {others}", "--trigger NAME")
     step = "for buffered capture: `modprobe iio-trig-hrtimer` and `mount -t configfs none /sys/kernel/config`"
     return Finding(topic, "note", "no trigger: converters are polled", step)

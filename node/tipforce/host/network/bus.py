@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Collection, Iterable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import can
 import canopen
@@ -282,7 +282,7 @@ class Bus:
             self.network.notifier.stop(1.0)
             self.network.bus = None
 
-    def __enter__(self) -> Bus:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -41,13 +41,11 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
         timing = timed(partial(decoder.decode, batch), effort, units=size)
         points.append(Point(f"{size} frames a call", error, timing))
         advance()
-    series = [Series(OURS, tuple(points))]
-    some = data[:_AT_A_TIME]
+    series, some = [Series(OURS, tuple(points))], data[:_AT_A_TIME]
     for method, decode in others(message).items():
         rows = [decode(frame) for frame in data]
-        error, unknown_shown[method] = judge(
-            [tuple(_known(row[name]) for name in MEASURED) for row in rows], data, message
-        )
+        values = [tuple(_known(row[name]) for name in MEASURED) for row in rows]
+        error, unknown_shown[method] = judge(values, data, message)
         timing = timed(lambda one=decode: list(map(one, some)), effort, units=len(some))  # type: ignore[misc]
         series.append(Series(method, (Point("a frame a call", error, timing),)))
         advance()
@@ -59,8 +57,8 @@ def _frames(rng: np.random.Generator, count: int) -> list[bytes]:
     raw = rng.integers(-limits, limits, size=(count, 3), endpoint=True)
     raw[rng.random(raw.shape) < 0.02] = UNKNOWN
     status = rng.integers(0, 256, count)
-    return [struct.pack("<hhhBB", *row, flags, k & 0xFF) for k, (row, flags) in enumerate(
-        zip(raw.tolist(), status.tolist(), strict=True))]  # fmt: skip
+    rows = zip(raw.tolist(), status.tolist(), strict=True)
+    return [struct.pack("<hhhBB", *row, flags, k & 0xFF) for k, (row, flags) in enumerate(rows)]
 
 
 def judge(rows: Rows, data: list[bytes], message: Message) -> tuple[float, int]:
@@ -103,15 +101,13 @@ def _by_hand(message: Message) -> Decode:
 
     def decode(data: bytes) -> dict[str, Any]:
         P, phi, theta, status, counter = layout.unpack(data)
-        decoded = {
+        return {
             "P": math.nan if P == UNKNOWN else P / 1000,
             "phi": math.nan if phi == UNKNOWN else phi / 100,
             "theta": math.nan if theta == UNKNOWN else theta / 100,
             "counter": counter,
+            **{name: status & bit != 0 for name, bit in flags},
         }
-        for name, bit in flags:
-            decoded[name] = status & bit != 0
-        return decoded
 
     return decode
 
@@ -138,11 +134,8 @@ def _canopen(message: Message) -> Decode:
 
     def decode(data: bytes) -> dict[str, Any]:
         pdo.on_message(pdo.cob_id, bytearray(data), 0.0)
-        bits = status.raw
-        decoded = {"P": P.phys, "phi": phi.phys, "theta": theta.phys, "counter": counter.raw}
-        for name, bit in flags:
-            decoded[name] = bits & bit != 0
-        return decoded
+        bits, values = status.raw, {"P": P.phys, "phi": phi.phys, "theta": theta.phys, "counter": counter.raw}
+        return values | {name: bits & bit != 0 for name, bit in flags}
 
     return decode
 
@@ -166,10 +159,7 @@ def _study(series: list[Series], unknown_shown: dict[str, int], count: int) -> S
             f"{faster[CANTOOLS]} as fast as cantools and {faster[CANOPEN]} as fast as canopen.",
             f"With one frame a call it takes {alone / seconds[BY_HAND]:.0f} times as long as the loop with struct: "
             "collect frames first.",
-            *(
-                f"{method}: {unknown_shown[method]} unknown values (raw {UNKNOWN}) were decoded as numbers."
-                for method in loud
-            ),
+            *(f"{m}: {unknown_shown[m]} unknown values (raw {UNKNOWN}) were decoded as numbers." for m in loud),
             f"Every unknown value was reported as unknown by: {silent}.",
         ),
         needs=(Need("decode a log exactly", 1e-6, "steps", loud),),

@@ -4,15 +4,12 @@ reference: random contacts as counts of a 24-bit converter, and the exact P and 
 from collections.abc import Callable
 from decimal import Decimal, localcontext
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError
-from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sensor import FABRICATED, calibration_matrix, force_vector, strain_matrix
 from tipforce_lab.report.studies import estimator_methods as methods
 from tipforce_lab.report.studies.estimator_methods import COUNT_BITS, LSB_MICROSTRAIN, RANGE_MICROSTRAIN, Contacts
 from tipforce_lab.report.study import Effort, Need, Point, Series, Study, Timing, series_of, timed
@@ -48,13 +45,9 @@ _METHODS: dict[str, dict[str, Callable[[Contacts], methods.Method]]] = {
 STEPS = 2 * (sum(map(len, _METHODS.values())) + 1)
 
 
-class _Result(NamedTuple):
-    estimate: methods.Estimate
-    timing: Timing
-
-
 _Setting = tuple[str, str]
 """Method and setting."""
+_Results = dict[_Setting, tuple[methods.Estimate, Timing]]
 
 
 def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
@@ -94,34 +87,32 @@ def _run(
     effort: Effort,
     left_out: dict[str, str],
     advance: Callable[[], None],
-    known: dict[_Setting, _Result] | None = None,
-) -> dict[_Setting, _Result]:
+    known: _Results | None = None,
+) -> _Results:
     """Run all methods on these contacts: timed, or with the times of ``known``, whose work is the same. A method that
     does not run is entered in left_out with the reason, and not tried again."""
-    results: dict[_Setting, _Result] = {}
+    results: _Results = {}
     for method, settings in _METHODS.items():
         for setting, prepare in settings.items():
             work = prepare(given)
-            timing = known[method, setting].timing if known else timed(work, effort, units=len(given.counts))
-            results[method, setting] = _Result(work(), timing)
+            timing = known[method, setting][1] if known else timed(work, effort, units=len(given.counts))
+            results[method, setting] = work(), timing
             advance()
     if MICROPYTHON not in left_out:
         try:
             estimate, timing = methods.on_micropython(given, effort)
-            timing = known[MICROPYTHON, _INSIDE].timing if known else timing
-            results[MICROPYTHON, _INSIDE] = _Result(estimate, timing)
+            results[MICROPYTHON, _INSIDE] = estimate, known[MICROPYTHON, _INSIDE][1] if known else timing
         except EnvironmentLackError as lack:
             left_out[MICROPYTHON] = str(lack)
     advance()
     return results
 
 
-def _series(results: dict[_Setting, _Result], error: Callable[[methods.Estimate], FloatArray]) -> tuple[Series, ...]:
+def _series(results: _Results, error: Callable[[methods.Estimate], FloatArray]) -> tuple[Series, ...]:
     points = []
-    for (method, setting), result in results.items():
-        off = error(result.estimate)
-        rms = float(np.sqrt(np.mean(off**2)))
-        points.append((method, Point(setting, float(np.abs(off).max()), result.timing, rms)))
+    for (method, setting), (estimate, timing) in results.items():
+        off = error(estimate)
+        points.append((method, Point(setting, float(np.abs(off).max()), timing, float(np.sqrt(np.mean(off**2))))))
     return series_of(points)
 
 
@@ -147,7 +138,7 @@ def _study(
 
 def _remarks(
     force: dict[_Setting, float], angle: dict[_Setting, float], near: dict[_Setting, float], full_scale_newtons: float,
-    results: dict[_Setting, _Result],
+    results: _Results,
 ) -> tuple[list[str], list[str], list[str]]:  # fmt: skip
     double, single, naive = (FLOAT64, "float64 C"), (FLOAT32, "float32 C"), (NAIVE32, "float32 C")
     half_lsb = 2.0**-COUNT_BITS
@@ -169,8 +160,8 @@ def _remarks(
     ]
     there = results.get((MICROPYTHON, _INSIDE))
     if there is not None:
-        here = results[NODE, "inside, REAL32 C"].estimate
-        apart = max(float(np.abs(b - a).max()) for a, b in zip(there.estimate, here, strict=True))
+        here = results[NODE, "inside, REAL32 C"]
+        apart = max(float(np.abs(b - a).max()) for a, b in zip(there[0], here[0], strict=True))
         of_angle.append(f"The node's code gives the same under MicroPython and CPython, to {apart:.1g} N and degrees.")
     near_tangency = [
         f"The error is {near[double] / angle[double]:.0f} times (float64) and {near[single] / angle[single]:.0f} times "

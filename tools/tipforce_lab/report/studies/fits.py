@@ -1,16 +1,14 @@
 """Calibration fits against the number of loads: the paper's, the plain affine one, and the product's."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.sensor.calibration.fit import Model, Readings, fit_calibration, linear_fit
+from tipforce.sensor import Model, Readings, fit_calibration, force_vector, linear_fit
 from tipforce.sensor.calibration.simulation import paper_grooves, true_matrix, unseen_forces
-from tipforce.sensor.contact.estimate import force_vector
 from tipforce_lab.report.study import Effort, Need, Point, Series, Study, quartiles, series_of, timed
 
 LOADS = (6, 12, 25, 50, 100, 200)
@@ -20,13 +18,6 @@ UNSEEN = 500
 LINEAR, AFFINE, FULL = "F on V, no offset (the paper's)", "V on F with offset, least squares", "tipforce, full fit"
 STEPS = 2 * len(LOADS)
 _MANY = 25
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Rig:
-    readings: Readings
-    A: FloatArray
-    offset_strain: FloatArray
 
 
 Fitted = tuple[FloatArray, FloatArray]
@@ -47,18 +38,17 @@ def _study(effort: Effort, advance: Callable[[], None], share: float) -> Study:
         for method, fit in _METHODS.items():
             try:
                 errors = []  # root mean square force error on unseen loads, newtons
-                for rig in rigs:
-                    C, offset = fit(rig.readings)
-                    off = (unseen @ rig.A.T + rig.offset_strain - offset) @ C.T - unseen
+                for readings, A, true_offset in rigs:
+                    C, offset = fit(readings)
+                    off = (unseen @ A.T + true_offset - offset) @ C.T - unseen
                     errors.append(float(np.sqrt(np.mean(np.sum(off**2, axis=1)))))
             except InputError as error:
                 refused[f"{method}, {loads} loads"] = f"refused: {error}"
                 continue
             # Several sensors: the time of the full fit depends on the data.
-            timed_fits = [
-                timed(partial(fit, rig.readings), effort, at_least_s=0.002) for rig in rigs[: effort.pick(2, 9)]
-            ]
-            timing = quartiles(*zip(*((fitted.seconds, fitted.work_seconds) for fitted in timed_fits), strict=True))
+            some = [rig[0] for rig in rigs[: effort.pick(2, 9)]]
+            times = [timed(partial(fit, readings), effort, at_least_s=0.002) for readings in some]
+            timing = quartiles([time.seconds for time in times], [time.work_seconds for time in times])
             rms = float(np.sqrt(np.mean(np.square(errors))))
             points.append((method, Point(f"{loads} loads", rms, timing)))
         advance()
@@ -82,8 +72,9 @@ def _study(effort: Effort, advance: Callable[[], None], share: float) -> Study:
     )
 
 
-def _rig(rng: np.random.Generator, loads: int, share: float) -> _Rig:
-    """Return ``loads`` grooves, alternately x and y, with random weights; a tare per three loads; in random order."""
+def _rig(rng: np.random.Generator, loads: int, share: float) -> tuple[Readings, FloatArray, FloatArray]:
+    """Return readings, the true strain matrix and offset: ``loads`` grooves, alternately x and y, with random weights;
+    a tare per three loads; in random order."""
     grooves = paper_grooves()
     along_x, along_y = (rng.permutation(np.flatnonzero(kind)) for kind in (grooves.along_x, ~grooves.along_x))
     groove = np.stack((np.resize(along_x, loads), np.resize(along_y, loads)), axis=-1).ravel()[:loads]
@@ -97,7 +88,7 @@ def _rig(rng: np.random.Generator, loads: int, share: float) -> _Rig:
     odd = rng.random(m) < share
     strain[odd, rng.integers(len(A), size=m)[odd]] += rng.choice([-1.0, 1.0], m)[odd] * OUTLIER_STRAIN
     order = rng.permutation(m)
-    return _Rig(Readings(strain[order], P[order], phi[order], theta[order]), A, offset)
+    return Readings(strain[order], P[order], phi[order], theta[order]), A, offset
 
 
 def _linear(readings: Readings) -> Fitted:
@@ -121,14 +112,13 @@ _METHODS: dict[str, Callable[[Readings], Fitted]] = {LINEAR: _linear, AFFINE: _a
 
 def _remarks(series: tuple[Series, ...]) -> list[str]:
     remarks = []
-    for method, points in ((fitted.method, fitted.points) for fitted in series):
-        many = {int(point.setting.split()[0]): point.error for point in points}
-        many = {loads: error for loads, error in many.items() if loads >= _MANY}
-        if len(many) < 2:
-            continue
-        order = np.polyfit(np.log(list(many)), np.log(list(many.values())), 1)[0]
-        remarks.append(
-            f"{method}: {many[max(many)]:.2g} N with {max(many)} loads; from {_MANY} loads on the error goes as "
-            f"N^{order:.2f}, where independent noise alone gives N^-0.5."
-        )
+    for fitted in series:
+        error_by_loads = {int(point.setting.split()[0]): point.error for point in fitted.points}
+        loads, errors = np.array([pair for pair in error_by_loads.items() if pair[0] >= _MANY]).reshape(-1, 2).T
+        if len(loads) >= 2:
+            order = np.polyfit(np.log(loads), np.log(errors), 1)[0]
+            remarks.append(
+                f"{fitted.method}: {errors[-1]:.2g} N with {loads[-1]:g} loads; from {_MANY} loads on the error goes "
+                f"as N^{order:.2f}, where independent noise alone gives N^-0.5."
+            )
     return remarks

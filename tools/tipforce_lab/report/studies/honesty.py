@@ -10,13 +10,14 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import Any, get_args
 
 import numpy as np
+import numpy.typing as npt
 
 import tipforce
 from canopen_device.core import codes
-from tipforce.arrays import BoolArray, FloatArray, IntArray
+from tipforce.arrays import BoolArray, FloatArray
 from tipforce.fingertip.application import Fingertip
 from tipforce.host.configuration.calibration import Calibration, read_calibration
 from tipforce.host.decoding.contact_columns import FLAGS, ContactColumns
@@ -26,13 +27,10 @@ from tipforce.scene import schema
 from tipforce.scene.build import build
 from tipforce.scene.results import applied_at
 from tipforce.scene.run import simulate
+from tipforce.sensor import FABRICATED, force_vector, parity, strain_matrix
 from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.contact import scalar
-from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.contact.redundancy import parity
 from tipforce.sensor.contact.scalar_redundancy import LEAST_SHARE
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
 from tipforce_lab.report.study import Counted, Effort, Grid, GridRow, sums_of
 
 GAUGES = ("K_H", "S_H", "U", "L", "T", "R", "K_V", "S_V")
@@ -120,11 +118,10 @@ def _is_hidden(scene: schema.Scene, calibration: Calibration) -> bool:
 
 
 def _row(fault: str, gauges: int, counts: tuple[Counted, ...], hidden: bool = False) -> GridRow:
-    reasons, of_gauge = [], _HIDDEN if hidden and fault in KINDS else ""
-    for method, count in zip(METHODS, counts, strict=True):
-        known = NOT_TOLD.get((fault, method), "") or CANNOT_TELL.get((fault, gauges), "") or of_gauge
-        reasons.append(known if _is_wrong(count) else "")
-    return GridRow(f"{fault}, {gauges}", counts, tuple(reasons), tuple(map(_is_wrong, counts)))
+    cannot = CANNOT_TELL.get((fault, gauges), "") or (_HIDDEN if hidden and fault in KINDS else "")
+    over, known = tuple(map(_is_wrong, counts)), [NOT_TOLD.get((fault, method), "") or cannot for method in METHODS]
+    reasons = tuple(reason if wrong else "" for reason, wrong in zip(known, over, strict=True))
+    return GridRow(f"{fault}, {gauges}", counts, reasons, over)
 
 
 def _is_wrong(count: Counted) -> bool:
@@ -200,27 +197,17 @@ def _scene(fault: str, gauges: int, seconds: float, rng: np.random.Generator) ->
     )  # fmt: skip
 
 
-class _Samples(NamedTuple):
-    """What the node had at each SYNC; k samples."""
-
-    t_s: FloatArray
-    P_newtons: FloatArray
-    """With the standard uncertainty as the node computes it; NaN where it says unknown."""
-    u_P_newtons: FloatArray
-    status: IntArray
-    """2120h."""
-    faults: IntArray
-    """2124h."""
-    temperature_degC: FloatArray
-    microstrain: FloatArray
-    """(k, n) as sent."""
+# What the node had at each SYNC: P with the standard uncertainty as the node computes it, NaN where it says unknown;
+# status 2120h, faults 2124h; (n,) microstrain as sent.
+_Samples = npt.NDArray[np.void]
+_SAMPLE = [(name, float) for name in ("t_s", "P_newtons", "u_P_newtons", "degC")] + [("status", int), ("faults", int)]
 
 
 def _counts(folder: Path, scene: schema.Scene, calibration: Calibration) -> list[Counted]:
     (finger,) = build(scene, folder)
     application = finger.device.application
     assert isinstance(application, Fingertip)
-    rows: list[tuple[float, ...]] = []
+    rows: list[tuple[Any, ...]] = []
 
     def keep(t_us: int, can_id: int, _data: bytes) -> None:
         if can_id == codes.TPDO_BASES[0] + NODE_ID:  # the first PDO of the sample; its values are those of the wire
@@ -228,14 +215,12 @@ def _counts(folder: Path, scene: schema.Scene, calibration: Calibration) -> list
             hidden = sample.unknown() & scalar.UNKNOWN_FORCE
             P = math.nan if hidden else round(sample.contact()[0], 3)
             temperature = math.nan if sample.reading is None else sample.reading.temperature / 100.0
-            rows.append((1e-6 * t_us, P, sample.uncertainty()[0], sample.status(), sample.faults, temperature,
-                         *(round(value, 1) for value in sample.microstrains)))  # fmt: skip
+            rows.append((1e-6 * t_us, P, sample.uncertainty()[0], temperature, sample.status(), sample.faults,
+                         tuple(round(value, 1) for value in sample.microstrains)))  # fmt: skip
 
     simulate(scene, [finger], scene.duration_s, keep, lambda _t_us: None)
-    t_s, P_newtons, u_P, status, faults, degC, *microstrain = np.array(rows).T
-    whole = status.astype(np.int64), faults.astype(np.int64)
-    samples = _Samples(t_s, P_newtons, u_P, *whole, degC, np.stack(microstrain, axis=-1))
-    true = applied_at(scene.load(NODE_ID), samples.t_s)[:, 0]
+    samples = np.array(rows, dtype=[*_SAMPLE, ("microstrain", float, (finger.gauges,))])
+    true = applied_at(scene.load(NODE_ID), samples["t_s"])[:, 0]
     counts = []
     for P, u, ok in _shown(samples, calibration):
         wrong = ok & ~(np.abs(P - true) <= TOO_FAR * u)
@@ -244,13 +229,13 @@ def _counts(folder: Path, scene: schema.Scene, calibration: Calibration) -> list
 
 
 def _shown(samples: _Samples, calibration: Calibration) -> Iterator[tuple[FloatArray, FloatArray, BoolArray]]:
-    P, u = samples.P_newtons, samples.u_P_newtons
-    alone = np.isfinite(P) & (samples.status == scalar.CONTACT_PRESENT | scalar.CALIBRATED)
+    P, u = samples["P_newtons"], samples["u_P_newtons"]
+    alone = np.isfinite(P) & (samples["status"] == scalar.CONTACT_PRESENT | scalar.CALIBRATED)
     yield P, u, alone
-    yield P, u, alone & (samples.faults == 0)
+    yield P, u, alone & (samples["faults"] == 0)
     yield _decoded(samples, calibration)
-    for temperature in (samples.temperature_degC, None):
-        estimated = tipforce.estimate(calibration, samples.microstrain, temperature_degC=temperature)
+    for temperature in (samples["degC"], None):
+        estimated = tipforce.estimate(calibration, samples["microstrain"], temperature_degC=temperature)
         yield estimated.P_newtons, estimated.u_P_newtons, says_ok(estimated)
 
 
@@ -262,16 +247,16 @@ def says_ok(estimated: tipforce.Contacts) -> BoolArray:
 
 
 def _decoded(samples: _Samples, calibration: Calibration) -> tuple[FloatArray, FloatArray, BoolArray]:
-    k, values = len(samples.t_s), {}
-    columns = [computed(f"SG{gauge + 1}", "microstrain", 1) for gauge in range(samples.microstrain.shape[1])]
-    values = {column_name.name: column for column_name, column in zip(columns, samples.microstrain.T, strict=True)}
+    k, microstrain = len(samples), samples["microstrain"].T
+    columns = [computed(f"SG{gauge}", "microstrain", 1) for gauge in range(1, len(microstrain) + 1)]
+    values = {column.name: strain for column, strain in zip(columns, microstrain, strict=True)}
     for name, bit in (("stale", scalar.STALE), ("fault", scalar.FRONT_END_FAULT), ("saturated", scalar.SATURATED)):
         columns.append(flag(name))
-        values[name] = (samples.status & bit != 0).astype(np.int8)
+        values[name] = (samples["status"] & bit != 0).astype(np.int8)
     columns.append(computed("temperature", ""))
-    values["temperature"] = samples.temperature_degC
+    values["temperature"] = samples["degC"]
     table = Table(
-        (1e9 * samples.t_s).astype(np.int64), np.full(k, NODE_ID, np.uint16), np.arange(k), np.ones(k, np.bool_),
+        (1e9 * samples["t_s"]).astype(np.int64), np.full(k, NODE_ID, np.uint16), np.arange(k), np.ones(k, np.bool_),
         tuple(columns), values,
     )  # fmt: skip
     (decoded,) = ContactColumns({None: calibration}, None).tables([table])

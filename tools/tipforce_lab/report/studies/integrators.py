@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -121,8 +121,7 @@ def relative(computed: FloatArray, wanted: FloatArray) -> float:
     return error if error < 1e3 else math.inf
 
 
-@dataclass(frozen=True, slots=True)
-class _Job:
+class _Job(NamedTuple):
     """One setting of one method. It has run once: for the error, and so that the timed runs are warm."""
 
     method: str
@@ -163,7 +162,7 @@ def _exact(task: Task, effort: Effort) -> list[_Job]:
         ]
     run = partial(impact, task.problem.modes, _STRIKER, task.duration_s, task.times())
     job = _job(task, "events (exact)", "the reference", lambda: run().elastic_newtons)
-    return [replace(job, error=max(job.error, task.reference_error))]
+    return [job._replace(error=max(job.error, task.reference_error))]
 
 
 def _job(task: Task, method: str, setting: str, run: Run) -> _Job:
@@ -293,10 +292,9 @@ def checked_impact(struck_body: CheckedBody, striker: Striker, times_s: FloatArr
         return float(X[n])
 
     edge.terminal = True  # type: ignore[attr-defined]
-    X, t, closed = np.append(np.zeros(n), [0.0, striker.speed_m_s]), 0.0, True
+    X, t, closed, done = np.append(np.zeros(n), [0.0, striker.speed_m_s]), 0.0, True, 1
     elastic = np.zeros((len(times_s), 3))
     scale = striker.speed_m_s * math.sqrt(striker.mass_kg / striker.stiffness)
-    done = 1
     while done < len(times_s):
         edge.direction = -1.0 if closed else 1.0  # type: ignore[attr-defined]
         run = solve_ivp(

@@ -1,7 +1,7 @@
 """Structure models side by side: Table 1, the plane frame, and finite elements on uniform and graded meshes."""
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from functools import partial
 
 import numpy as np
 
@@ -21,17 +21,8 @@ STEPS = 1 + 5 + 2 * 3
 """The references, the models without a mesh, three meshes of both kinds."""
 LEFT_OUT = 'scikit-fem or scipy is missing: pip install "tipforce[fem]"'
 _UNIFORM, _GRADED = "FE, uniform meshes", "FE, graded meshes"
-
-
-class _Result(NamedTuple):
-    setting: str
-    matrix: FloatArray
-    timing: Timing
-
-
-_Results = dict[str, list[_Result]]
-"""By model."""
-_Error = Callable[[FloatArray], float]
+_Results = list[tuple[str, str, FloatArray, Timing]]
+"""Method, setting, strain matrix, time."""
 
 
 def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
@@ -48,18 +39,17 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
     levels = (1, 2, 4) if effort.quick else (2, 4, 8)
     references = [_finite_elements(cells, GRADING)[0] for cells in levels]
     advance()
-    results: _Results = {}
+    results: _Results = []
     for method, matrix in _beam_models().items():
-        results[method] = [_Result("", matrix(), timed(matrix, effort))]
+        results.append((method, "", matrix(), timed(matrix, effort)))
         advance()
     for method, grading in ((_UNIFORM, 1.0), (_GRADED, GRADING)):
-        results[method] = []
         for cells in (1, 2, 3) if effort.quick else (2, 3, 5):
             fe, unknowns = _finite_elements(cells, grading)
-            timing = timed(lambda n=cells, g=grading: _finite_elements(n, g), effort)  # type: ignore[misc]
-            results[method].append(_Result(f"n = {cells}, {unknowns} unknowns", fe, timing))
+            timing = timed(partial(_finite_elements, cells, grading), effort)
+            results.append((method, f"n = {cells}, {unknowns} unknowns", fe, timing))
             advance()
-    shown = ", ".join(str(n) for n in levels)
+    shown = ", ".join(map(str, levels))
     what = f"plane-stress FE of the stated outline, 1 mm gauges, graded meshes n = {shown} extrapolated"
     limits = [fem.extrapolate(values) for values in zip(*map(conditions, references), strict=True)]
     values = (f"{case} {limit.value:.4f} +- {limit.error:.4f}" for case, limit in zip(CASES, limits, strict=True))
@@ -86,17 +76,14 @@ _TITLES = {
 
 
 def _study(
-    key: str, error_unit: str, reference: str, own_error: float, results: _Results, error: _Error,
-    needs: tuple[Need, ...],
+    key: str, error_unit: str, reference: str, own_error: float, results: _Results,
+    error: Callable[[FloatArray], float], needs: tuple[Need, ...],
 ) -> Study:  # fmt: skip
-    series = series_of(
-        (method, Point(result.setting, error(result.matrix), result.timing))
-        for method, of_method in results.items() for result in of_method
-    )  # fmt: skip
+    series = series_of((method, Point(setting, error(matrix), timing)) for method, setting, matrix, timing in results)
     errors = {model.method: model.points[-1].error for model in series}
     best = min((method for method in errors if not method.startswith("FE")), key=lambda method: errors[method])
     remarks = (
-        f"With as many unknowns ({results[_GRADED][-1].setting}) the graded mesh has an error of "
+        f"With as many unknowns ({series[-1].points[-1].setting}) the graded mesh has an error of "
         f"{errors[_GRADED]:.1e}, the uniform one {errors[_UNIFORM]:.1e}.",
         f"No beam model includes the corners: the best, {best}, is {errors[best]:.1%} off, where gauges fit; Table 1 "
         f"at its points is {errors['Table 1, at its points']:.0%} off.",
