@@ -186,7 +186,7 @@ def test_files_of_domains_are_read_up_to_the_limit(tmp_path: Path, monkeypatch: 
         return file_content(eds, name)
 
     file_content = objects.file_content
-    monkeypatch.setattr("canopen_device.eds.objects.file_content", content)
+    monkeypatch.setattr("canopen_device.eds.reader.file_content", content)
     monkeypatch.setattr(description, "MOST_VALUE_BYTES", 1 << 20)
     (tmp_path / "large.bin").write_bytes(bytes(1 << 18))
     entries = [var(f"{0x2000 + k:04X}", 0xF, UploadFile="large.bin") for k in range(50)]

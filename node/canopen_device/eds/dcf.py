@@ -18,7 +18,7 @@ def dcf_text(described: Description, values: Mapping[tuple[int, int], Value]) ->
     sections.pop(_COMMISSIONING, None)
     for part in sections.values():
         text = part.keys.pop("parametervalue", None)
-        if text and not described.is_dcf and not part.get("DefaultValue"):  # it is the default, see ``objects``
+        if text and not described.is_dcf and not part.get("DefaultValue"):  # it is the default, see ``reader``
             part.keys["defaultvalue"], part.written["defaultvalue"] = text, "DefaultValue"
     without = {index for index, _ in values} - file.objects.keys() - file.subs.keys()  # such as those of CompactPDO
     for (index, sub), value in sorted(values.items()):
