@@ -87,18 +87,18 @@ def describe(file: EdsFile, node_id: int | None) -> Description:
 
 
 def _node_id(described: Description, section: Section | None, given: int | None) -> int:
-    text = (section.get("NodeID") if section is not None else None) or ""
-    own = values.integer(text).value if text else None
-    valid = own in _NODE_IDS
-    if section is not None and text and not valid:
+    text = "" if section is None else section.get("NodeID") or ""
+    own = values.integer(text).value
+    if section is not None and text and own not in _NODE_IDS:
         section.say("NodeID", f"allowed are 1 to {_LAST_NODE_ID}")
+        own = None
     if given is None:
-        if own is None or not valid:
+        if own is None:
             raise InputError(f"{described.path}: names no node-id; give one, 1 to {_LAST_NODE_ID}")
         return own
     if isinstance(given, bool) or not isinstance(given, int) or given not in _NODE_IDS:
         raise InputError(f"node-id {given!r}: allowed are 1 to {_LAST_NODE_ID}, and {_UNCONFIGURED} for none yet")
-    if section is not None and valid and own != given:
+    if section is not None and own not in (None, given):
         section.say("NodeID", f"loaded as node {given}; values without $NODEID stay those of node {own}")
     return given
 
@@ -107,10 +107,11 @@ def _read_dummies(section: Section, described: Description) -> None:
     used = set()
     for key, text in section.keys.items():
         number = key.removeprefix("dummy")
-        if number == key or not number.isalnum() or values.integer("0x" + number).value is None:
+        code = values.integer("0x" + number).value if number.isalnum() and number != key else None
+        if code is None:
             section.say(key, "the form is Dummy0005=1; skipped")
         elif values.integer(text).value:
-            used.add(int(number, 16))
+            used.add(code)
     outside = sorted(code for code in used if not _FIRST_DUMMY <= code <= _LAST_DUMMY)
     if outside:
         described.add(section.line, f"[{section.name}]: 0x{outside[0]:04X} is no data type; skipped")
