@@ -87,7 +87,9 @@ class Mcp2515(CanPort):
             return STATE_OFF
         return STATE_PASSIVE if flags & PASSIVE else STATE_WARNING if flags & WARN else STATE_ACTIVE
 
-    def _restart(self) -> None:
+    def restart(self) -> None:
+        """As of every controller."""
+        self._queue = []
         self._write(bytes((MODIFY, TXB0CTRL, TXREQ, 0)))
         self._enter(CONFIGURATION)
         self._enter(NORMAL)

@@ -27,7 +27,7 @@ class Entry:
 
     ``default`` and ``value`` (ParameterValue, None without one) include the node-id. ``directions`` are those of the
     PDOs that may map it: the flags TPDO and RPDO of ``device.object_dictionary``. ``access`` is ro, wo, rw, rwr, rww or
-    const; ``letter`` one of ``dictionary.types``; ``line`` that of its section.
+    const; ``letter`` one of ``types``; ``line`` that of its section.
     """
 
     index: int

@@ -24,16 +24,14 @@ LONGEST_INTERVAL_US = 10000000  # a longer time between two SYNCs is a pause
 NO_DATA_US = 100000  # a front end silent for so long has failed (2124h bit 8)
 FROZEN_READINGS = 32  # equal readings in a row that noise of a count or more cannot explain (2124h bit 9)
 
-_LIVE = (
-    communication.MANUFACTURER_STATUS, indices.UNCERTAINTY, indices.STATUS, indices.COUNTER, indices.TEMPERATURE,
-    indices.U_P, indices.FAULTS, indices.CONFIGURATION_COUNTER, indices.CHANNEL_STATUS,
-)  # fmt: skip
-
 
 class Fingertip(Application):
     """Everything between a gauge source and the object dictionary of one node."""
 
-    live = frozenset(_LIVE + table.forms(indices.FIELD_VALUE) + table.forms(indices.PROCESS_VALUE))
+    live = frozenset((
+        communication.MANUFACTURER_STATUS, indices.UNCERTAINTY, indices.STATUS, indices.COUNTER, indices.TEMPERATURE,
+        indices.U_P, indices.FAULTS, indices.CONFIGURATION_COUNTER, indices.CHANNEL_STATUS,
+    ) + table.forms(indices.FIELD_VALUE) + table.forms(indices.PROCESS_VALUE))  # fmt: skip
 
     def __init__(self, device: Device, n: int, source: "Source") -> None:
         self.device = device
@@ -57,7 +55,7 @@ class Fingertip(Application):
         readers[indices.STATUS] = lambda _sub: self.sample.status()
         readers[indices.COUNTER] = lambda _sub: self.sample.counter
         readers[indices.TEMPERATURE] = self._read_temperature
-        readers[indices.U_P] = self._read_magnitude_uncertainty
+        readers[indices.U_P] = self._read_u_P
         readers[indices.FAULTS] = lambda _sub: self.sample.faults
         writers[indices.CALIBRATION_COMMIT] = self._write_commit
         writers[indices.COMMAND] = lambda _sub, value: self.command(value)  # type: ignore[arg-type]
@@ -132,15 +130,13 @@ class Fingertip(Application):
 
     def expire(self, now_us: int) -> None:
         """Take a conversion into the filter; without SYNC take samples for interrupts, and look after the source."""
-        filtering = self.filtering
-        if filtering is None:
-            watching = self._watching()
-            period_us = self.device.od.integer(indices.SAMPLE_PERIOD_US, 1) if watching else self.source.watch_us
-            self.due_us = now_us + period_us
-            new = True
+        new = self.filtering is None or self._news(now_us)
+        if self.filtering is not None:
+            self.due_us = self.filtering.due_us
+        elif self._watching():
+            self.due_us = now_us + self.device.od.integer(indices.SAMPLE_PERIOD_US, 1)
         else:
-            new = self._news(now_us)
-            self.due_us = filtering.due_us
+            self.due_us = now_us + self.source.watch_us
         by_sync = now_us < self._latches_by_sync_until_us
         if new and not by_sync and self._watching():
             self._latch(now_us, waits=True)
@@ -292,7 +288,7 @@ class Fingertip(Application):
             return scalar.NAN if unknown & scalar.UNKNOWN_PHI else u_phi * scalar.DEGREES
         return scalar.NAN if unknown & scalar.UNKNOWN_THETA else u_theta * scalar.DEGREES
 
-    def _read_magnitude_uncertainty(self, _sub: int) -> int:
+    def _read_u_P(self, _sub: int) -> int:
         u_P = self._read_uncertainty(1)
         # Bounded before rounding: where floats are single precision u_P may be infinite.
         return round(min(1000.0 * u_P, table.UNKNOWN_U16 - 1.0)) if u_P >= 0.0 else table.UNKNOWN_U16
@@ -303,9 +299,8 @@ class Fingertip(Application):
         return reading.temperature if known and reading is not None else table.UNKNOWN_I16
 
     def _read_tare(self, sub: int) -> "Value":
-        if sub < 4:
-            return self._tare[sub - 1]
-        return 0 if self._tare == NO_TARE else (self.device.now_us - self._tared_us) // 1000000
+        age_s = 0 if self._tare == NO_TARE else (self.device.now_us - self._tared_us) // 1000000
+        return self._tare[sub - 1] if sub < 4 else age_s
 
     def _write_commit(self, _sub: int, value: "Value") -> int:
         before, tare = self.calibration.active_record(), self._tare
