@@ -73,8 +73,7 @@ def _object_lines(described: Description, index: int, values: Mapping[tuple[int,
 
 def _text(described: Description, index: int, sub: int, value: Value) -> str:
     entry = described.entry(index, sub)
-    if entry is None:
-        raise AssertionError((index, sub))
+    assert entry is not None
     if isinstance(value, int) and entry.has_node_id and value & _NODE_ID_BITS == described.node_id:
         return f"$NODEID+0x{value - described.node_id:X}"
     return format_value(entry.letter, value)
