@@ -121,11 +121,10 @@ def _parameter(eds: Description, line: int, index: int, number: int, mask: int, 
     for sub in subs:
         name, default = _PARAMETERS[sub - 1], _EVENT_DRIVEN if sub == 2 else 0
         made.entries[sub] = Entry(index, sub, name, _PDO_LETTERS[sub], "rw", default, line=line)
-    if 1 in subs and number < len(bases):
-        no_rtr = codes.NO_RTR if bases is codes.TPDO_BASES else 0
-        made.entries[1].default, made.entries[1].has_node_id = bases[number] + eds.node_id | no_rtr, True
-    elif 1 in subs:
-        made.entries[1].default = codes.COB_ID_INVALID
+    if 1 in subs:
+        no_rtr, predefined = codes.NO_RTR if bases is codes.TPDO_BASES else 0, number < len(bases)
+        made.entries[1].default = bases[number] + eds.node_id | no_rtr if predefined else codes.COB_ID_INVALID
+        made.entries[1].has_node_id = predefined
     return made
 
 
@@ -150,8 +149,9 @@ def check(file: EdsFile, eds: Description) -> None:
             eds.add(0, f"no section [{name}]")
     if any(name in file.sections for name in _OBJECT_LISTS):
         _check_lists(file, eds)
-    if "supportedmodules" in file.sections and _count(file.sections["supportedmodules"], "NrOfEntries"):
-        eds.add(file.sections["supportedmodules"].line, "[SupportedModules]: objects of modules are not loaded")
+    modules = file.sections.get("supportedmodules")
+    if modules is not None and values.integer(modules.get("NrOfEntries") or "").value:
+        eds.add(modules.line, "[SupportedModules]: objects of modules are not loaded")
     _check_parameter_values(file, eds)
     for index, sub, base in _WITH_NODE_ID:  # identifiers of EMCY and SDO
         entry = eds.entry(index, sub)
@@ -166,11 +166,6 @@ def check(file: EdsFile, eds: Description) -> None:
         _check_pdos(eds, first, last, direction)
 
 
-def _count(section: Section, *keys: str) -> int | None:
-    text = next((section.get(key) for key in keys if section.get(key)), None)
-    return None if text is None else values.integer(text).value
-
-
 def _check_lists(file: EdsFile, eds: Description) -> None:
     listed: set[int] = set()
     known = file.objects.keys() | file.subs.keys()
@@ -179,9 +174,8 @@ def _check_lists(file: EdsFile, eds: Description) -> None:
         if section is None:
             continue
         own = [(key, text) for key, text in section.keys.items() if key[:1].isdigit()]
-        problem = _count(section, *_COUNT_KEYS)
-        if problem != len(own):
-            key = next((key for key in _COUNT_KEYS if section.get(key)), _COUNT_KEYS[0])
+        key = next((key for key in _COUNT_KEYS if section.get(key)), _COUNT_KEYS[0])
+        if values.integer(section.get(key) or "").value != len(own):
             section.say(key, f"the list has {len(own)}")
         for key, text in own:
             index = _listed_index(file, text)

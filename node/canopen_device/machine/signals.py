@@ -68,15 +68,13 @@ class RandomWalk(Signal):
     high: float = 100.0
     every_s: float = 0.1
     seed: int = 0
-    _value: float = field(init=False, default=math.nan, repr=False)
+    _value: float = field(init=False, repr=False)
     _steps: int = field(init=False, default=0, repr=False)
 
     def __post_init__(self) -> None:
-        self._random = random.Random(self.seed)
+        self._random, self._value = random.Random(self.seed), self.start
 
     def _at(self, t_s: float, _device: SimulatedDevice) -> float:
-        if math.isnan(self._value):
-            self._value = self.start
         while self._steps < int(t_s / self.every_s):
             self._steps += 1
             moved = self._value + self._random.gauss(0.0, self.step)
