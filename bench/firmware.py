@@ -71,7 +71,7 @@ def node_us() -> dict[str, tuple[float, float]]:
 
     talk = footprint.ready_node()
     files = engine.compiled(3) | engine.program() | {"/ready": talk.recording.text().encode()}
-    calls = ["import sys", f"sys.path.append({engine.LIBRARY!r})", "import on_node", *footprint.bring_up(talk)]
+    calls = ["import on_node", *footprint.bring_up(talk)]
     here: list[float] = []
     for _name, can_id, data, start_us in TIMED:
         frame = (can_id, bytes.fromhex(data))
@@ -94,7 +94,7 @@ def around_the_loop() -> tuple[dict[str, int], dict[str, float]]:
         fakes = Path(engine.__file__).parents[1] / "microcontroller" / name
         files[f"{engine.LIBRARY}/microcontroller/{name}"] = fakes.read_bytes()
     count = "import gc\nprint('heap', gc.mem_alloc())"
-    calls = ["import sys", f"sys.path.append({engine.LIBRARY!r})", PREPARE, "import gc", count, IMPORT, count, DRIVERS,
+    calls = [PREPARE, "import gc", count, IMPORT, count, DRIVERS,
              BUILD, count, "around(3000, 1000, False)", count]  # fmt: skip
     for name, step_us, sync in (("nothing to do", 500, False), ("new reading, SYNC, two TPDOs", 4000, True)):
         calls += [f"print('time', '{name}:', around({ROUNDS}, {step_us}, {sync}))"] * (REPEATS + 1)
