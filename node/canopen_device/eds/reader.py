@@ -112,10 +112,9 @@ def _read_dummies(section: Section, described: Description) -> None:
             section.say(key, "the form is Dummy0005=1; skipped")
         elif values.integer(text).value:
             used.add(code)
-    outside = sorted(code for code in used if not _FIRST_DUMMY <= code <= _LAST_DUMMY)
-    if outside:
-        described.add(section.line, f"[{section.name}]: 0x{outside[0]:04X} is no data type; skipped")
-    described.dummies = frozenset(used) - frozenset(outside)
+    described.dummies = frozenset(code for code in used if _FIRST_DUMMY <= code <= _LAST_DUMMY)
+    if used - described.dummies:
+        described.add(section.line, f"[{section.name}]: 0x{min(used - described.dummies):04X} is no data type; skipped")
 
 
 def _read_objects(file: EdsFile, into: Description) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import chain, count
 from typing import Any
 
 from canopen_device import types
@@ -183,15 +184,10 @@ def _plain(entry: Entry[Any], start: int, n: int) -> Signal:
 
 def _unique(signals: list[Signal]) -> tuple[Signal, ...]:
     """Names that occur once: P mapped as INTEGER16 and as REAL32 becomes P and P_6130."""
-    taken: set[str] = set()
-    unique = []
+    unique: dict[str, Signal] = {}
     for signal in signals:
-        name = signal.name
-        if name in taken:
-            name = f"{signal.name}_{signal.index:04X}"
-        count = 2
-        while name in taken:
-            name, count = f"{signal.name}_{signal.index:04X}_{count}", count + 1
-        taken.add(name)
-        unique.append(signal if name == signal.name else replace(signal, name=name))
-    return tuple(unique)
+        longer = f"{signal.name}_{signal.index:04X}"
+        names = chain((signal.name, longer), (f"{longer}_{number}" for number in count(2)))
+        name = next(name for name in names if name not in unique)
+        unique[name] = replace(signal, name=name)
+    return tuple(unique.values())
