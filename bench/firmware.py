@@ -61,7 +61,7 @@ def sync_us() -> tuple[float, float]:
 
     talk = footprint.ready_node()
     files = engine.compiled(3) | engine.program() | {"/ready": talk.recording.text().encode()}
-    calls = ["import sys", f"sys.path.append({engine.LIBRARY!r})", "import on_node", *footprint.bring_up(talk)]
+    calls = ["import on_node", *footprint.bring_up(talk)]
     here: list[float] = []
     for repeat in range(WARM_UP + REPEATS):
         now_us = START_US + 1000 * STEPS * repeat
@@ -80,8 +80,7 @@ def around_the_loop() -> tuple[dict[str, int], dict[str, float]]:
         fakes = Path(engine.__file__).parents[1] / "microcontroller" / name
         files[f"{engine.LIBRARY}/microcontroller/{name}"] = fakes.read_bytes()
     count = "import gc\nprint('heap', gc.mem_alloc())"
-    calls = ["import sys", f"sys.path.append({engine.LIBRARY!r})", PREPARE, "import gc", count, IMPORT, count, BUILD,
-             count, "around(3000, 1000, False)", count]  # fmt: skip
+    calls = [PREPARE, "import gc", count, IMPORT, count, BUILD, count, "around(3000, 1000, False)", count]
     for name, step_us, sync in (("nothing to do", 500, False), ("new reading, SYNC, two TPDOs", 4000, True)):
         calls += [f"print('time', '{name}:', around({ROUNDS}, {step_us}, {sync}))"] * (REPEATS + 1)
     lines = engine.run(files, calls)

@@ -30,8 +30,7 @@ from canopen_device.eds.reader import read_eds
 from canopen_device.machine import SimulatedDevice, shipped_eds
 from canopen_device.machine.cia402 import Drive
 from canopen_device.testing import MemoryStore
-from tipforce.fingertip.application import Fingertip
-from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.node import Fingertip, fingertip_node
 from tipforce.sources.simulated import SimulatedSource
 
 ROUND_FRAMES = 2500

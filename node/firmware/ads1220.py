@@ -12,21 +12,9 @@ from .source import CONVERSIONS_LOST, SUPPLY, Chip, choice, signed24
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Generator
-    from typing import Protocol
+    from typing import Any
 
     from .source import Steps
-
-    class Spi(Protocol):
-        """The used part of ``machine.SPI``."""
-
-        def write(self, data: bytes) -> None: ...  # what is received is ignored
-        def readinto(self, buffer: bytearray, write: int = 0) -> None: ...  # receive while sending ``write``
-
-    class Pin(Protocol):
-        """The used part of ``machine.Pin``."""
-
-        def value(self, level: int = ...) -> int: ...
-
 
 RESET, START, RREG_ALL, WREG_ALL, WREG_0, WREG_1 = 0x06, 0x08, 0x23, 0x43, 0x40, 0x44
 MUX = (0x00, 0x50)  # AIN0 - AIN1, AIN2 - AIN3
@@ -43,7 +31,7 @@ TEMPERATURE_EVERY_US = 10000000
 
 
 class Ads1220(Chip):
-    """One chip: ``spi`` at up to 5 MHz in mode 1, ``cs`` and ``drdy`` pins.
+    """One chip: ``spi`` is a ``machine.SPI`` at up to 5 MHz in mode 1, ``cs`` and ``drdy`` are each a ``machine.Pin``.
 
     ``reference`` is "ref0" for a bridge supplied from REFP0 and REFN0 (ratiometric), "ref1", "supply" or "internal".
     The offset is measured at the start with shorted inputs, and subtracted. The chip's temperature is read every ten
@@ -51,7 +39,7 @@ class Ads1220(Chip):
     """
 
     def __init__(
-        self, spi: "Spi", cs: "Pin", drdy: "Pin", channels: int = 1, gain: int = 128, rate: int = 1000,
+        self, spi: "Any", cs: "Any", drdy: "Any", channels: int = 1, gain: int = 128, rate: int = 1000,
         reference: str = "ref0",
     ) -> None:  # fmt: skip
         choice("channels", channels, (1, 2))

@@ -15,7 +15,7 @@ from .can_port import STATE_ACTIVE, STATE_OFF, STATE_PASSIVE, STATE_WARNING, Can
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from .ads1220 import Pin, Spi
+    from typing import Any
 
 RESET, READ, WRITE, MODIFY, READ_RX, LOAD_TX, RTS, STATUS = 0xC0, 0x03, 0x02, 0x05, (0x90, 0x94), 0x40, 0x81, 0xA0
 CANSTAT, CANCTRL, CNF3, CANINTF, EFLG, TXB0CTRL, RXB0CTRL, RXB1CTRL = 0x0E, 0x0F, 0x28, 0x2C, 0x2D, 0x30, 0x60, 0x70
@@ -27,10 +27,10 @@ MODE_TRIES, RESET_WAIT_US = 20, 10  # 128 clocks of the oscillator after a reset
 
 
 class Mcp2515(CanPort):
-    """``oscillator_hz`` is printed on the board's crystal: usually 8 or 16 MHz. Raises ValueError for a bit rate that
-    the oscillator does not allow, OSError if the chip does not respond."""
+    """``spi`` is a ``machine.SPI``, ``cs`` a ``machine.Pin``; ``oscillator_hz`` is printed on the crystal. Raises
+    ValueError for a bit rate that it does not allow, OSError if the chip does not respond."""
 
-    def __init__(self, spi: "Spi", cs: "Pin", bit_rate: int, oscillator_hz: int = 16000000) -> None:
+    def __init__(self, spi: "Any", cs: "Any", bit_rate: int, oscillator_hz: int = 16000000) -> None:
         self._spi, self._cs = spi, cs
         self._cs.value(1)
         self._oscillator_hz = oscillator_hz
@@ -87,7 +87,9 @@ class Mcp2515(CanPort):
             return STATE_OFF
         return STATE_PASSIVE if flags & PASSIVE else STATE_WARNING if flags & WARN else STATE_ACTIVE
 
-    def _restart(self) -> None:
+    def restart(self) -> None:
+        """As of every controller."""
+        self._queue = []
         self._write(bytes((MODIFY, TXB0CTRL, TXREQ, 0)))
         self._enter(CONFIGURATION)
         self._enter(NORMAL)

@@ -44,10 +44,6 @@ class CanPort:
     def _state(self) -> int:
         return self._states.get(self._can.state(), STATE_ACTIVE)
 
-    def _restart(self) -> None:
-        """Leave the bus-off state; frames that wait in the controller are dropped."""
-        self._can.restart()
-
     def receive(self) -> "list[Frame]":
         """Return the frames since the last call, with error frames for changes of the controller's state first."""
         state = self._state()
@@ -90,9 +86,9 @@ class CanPort:
         return bool(self._queue)
 
     def restart(self) -> None:
-        """Restart the controller: the device's request "bus-restart"."""
+        """Leave the bus-off state, the device's request "bus-restart"; frames that wait are dropped."""
         self._queue = []
-        self._restart()
+        self._can.restart()
 
     def set_bit_rate(self, bit_rate: int) -> None:
         """Switch to another bit rate at once."""

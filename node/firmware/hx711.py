@@ -12,8 +12,8 @@ from .source import CONVERSIONS_LOST, Chip, choice, signed24
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from typing import Any
 
-    from .ads1220 import Pin
     from .source import Steps
 
 PULSES = {128: 25, 32: 26, 64: 27}
@@ -22,7 +22,7 @@ RESET_US = 100  # PD_SCK high for 60 us or more
 
 
 class Hx711(Chip):
-    """One chip with one gauge.
+    """One chip with one gauge, at two ``machine.Pin``.
 
     ``lock`` and ``unlock`` disable interrupts while 25 bits are read: ``machine.disable_irq`` and
     ``machine.enable_irq``. An interrupt while PD_SCK is high would power the chip down. Raises ValueError for a gain or
@@ -32,7 +32,7 @@ class Hx711(Chip):
     _retry_us = 0
 
     def __init__(
-        self, dout: "Pin", sck: "Pin", gain: int = 128, rate: int = 80,
+        self, dout: "Any", sck: "Any", gain: int = 128, rate: int = 80,
         lock: "Callable[[], int]" = lambda: 0, unlock: "Callable[[int], None]" = lambda _state: None,
     ) -> None:  # fmt: skip
         choice("gain", gain, (32, 64, 128))

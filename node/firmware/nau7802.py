@@ -11,16 +11,9 @@ from .source import CONVERSIONS_LOST, SUPPLY, Chip, choice, signed24
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import Protocol
+    from typing import Any
 
     from .source import Steps
-
-    class I2C(Protocol):
-        """The used part of ``machine.I2C``; an error on the bus is an OSError."""
-
-        def readfrom_mem_into(self, address: int, register: int, buffer: bytearray) -> None: ...
-        def writeto_mem(self, address: int, register: int, data: bytes) -> None: ...
-
 
 ADDRESS = 0x2A
 PU_CTRL, CTRL1, CTRL2, ADCO, ADC_CTRL, PGA_POWER = 0x00, 0x01, 0x02, 0x12, 0x15, 0x1C
@@ -36,7 +29,7 @@ CALIBRATION_US = 2000000  # time-out of CALS
 
 
 class Nau7802(Chip):
-    """One chip on an I2C bus; two chips need two buses or a multiplexer, because the address is fixed.
+    """One chip on a ``machine.I2C``; two chips need two buses or a multiplexer, because the address is fixed.
 
     ``channels`` is 1 or 2; with two each reading takes ``discard`` + 1 conversions per channel. ``ldo_millivolts`` is
     the bridge supply from the chip's regulator, 0 for an external AVDD. The chip calibrates the offset of amplifier and
@@ -44,7 +37,7 @@ class Nau7802(Chip):
     """
 
     def __init__(
-        self, i2c: "I2C", channels: int = 1, gain: int = 128, rate: int = 320, ldo_millivolts: int = 3000,
+        self, i2c: "Any", channels: int = 1, gain: int = 128, rate: int = 320, ldo_millivolts: int = 3000,
         discard: int = 6, address: int = ADDRESS,
     ) -> None:  # fmt: skip
         choice("channels", channels, (1, 2))

@@ -21,7 +21,7 @@ def run() -> None:
         if slot != INSTALLED:
             import vfs
 
-            from .files import ImageFiles
+            from .image import ImageFiles
 
             vfs.mount(ImageFiles(lambda: slots.open(slot, "rb")), _MOUNT)
             sys.path.insert(0, _MOUNT)

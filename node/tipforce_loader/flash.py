@@ -9,20 +9,13 @@ import struct
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import Protocol
+    from typing import Any, Protocol
 
     class Slots(Protocol):
         """Memory for two slots; OSError where it fails."""
 
         def read(self, slot: int) -> bytes: ...  # the whole content; empty if there is none
         def write(self, slot: int, data: bytes) -> None: ...  # returns only when the content is in flash
-
-    class BlockDevice(Protocol):
-        """The used part of ``esp32.Partition`` or another block device of MicroPython: the simple interface."""
-
-        def readblocks(self, block: int, buffer: bytearray) -> None: ...
-        def writeblocks(self, block: int, buffer: bytearray) -> None: ...  # erases them first
-        def ioctl(self, operation: int, argument: int) -> "int | None": ...  # 4: number of blocks, 5: size, 3: sync
 
 
 _MAGIC = 0x31504954  # "TIP1"
@@ -121,11 +114,11 @@ class FileSlots:
 
 
 class BlockSlots:
-    """Two halves of a block device without a file system, such as ``esp32.Partition.find(label="tip")[0]``. Raises
-    ValueError for a device with less than two blocks."""
+    """Two halves of a block device without a file system, such as ``esp32.Partition.find(label="tip")[0]``; a write
+    erases the blocks first. Raises ValueError for a device with less than two blocks."""
 
-    def __init__(self, device: "BlockDevice") -> None:
-        count, self._size = device.ioctl(4, 0) or 0, device.ioctl(5, 0) or 512
+    def __init__(self, device: "Any") -> None:
+        count, self._size = device.ioctl(4, 0) or 0, device.ioctl(5, 0) or 512  # number and size of the blocks
         if count < 2:
             raise ValueError("block device: %d blocks, 2 are needed" % count)
         self._device, self._count = device, count // 2
@@ -149,4 +142,4 @@ class BlockSlots:
             raise OSError(28)  # ENOSPC
         buffer = bytearray(data + b"\xff" * (blocks * self._size - len(data)))
         self._device.writeblocks(slot * self._count, buffer)
-        self._device.ioctl(3, 0)
+        self._device.ioctl(3, 0)  # sync

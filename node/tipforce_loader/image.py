@@ -1,4 +1,5 @@
-"""A program image: one file with the compiled modules of a program. Runs on MicroPython.
+"""A program image: one file with the compiled modules of a program, its check, and its files as a read-only file system
+of MicroPython, so that modules are imported from the image.
 
     offset  bytes
     0       4      "TIPF"
@@ -14,11 +15,12 @@ Numbers are little-endian."""
 
 import binascii
 import hashlib
+import io
 import struct
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from typing import BinaryIO
 
 HEAD_SIZE, SIGNED_SIZE, CHECKED_SIZE = 52, 20, 16
@@ -26,6 +28,8 @@ FORMAT = 1
 PRODUCT_SHIFT = 16  # the lower bits of 1018h:2 are the gauges and options of one node: any program serves them
 _MAGIC = b"TIPF"
 _PART = 1024
+_CLOSE, _BUFFER_SIZE, _BUFFER = 4, 11, 255  # requests to ``ioctl`` of a stream; the size in which to read one
+_FOLDER, _FILE = 0x4000, 0x8000  # st_mode
 
 # Why a program was refused or given up: bits 16 to 31 of 1F57h.
 NOT_AN_IMAGE, OTHER_PRODUCT, DAMAGED, WRONG_SIGNATURE, FLASH_FAILED, TOO_LARGE, UNHEALTHY = 1, 2, 3, 4, 5, 6, 7
@@ -123,3 +127,60 @@ def files(file: "BinaryIO") -> "Iterator[tuple[str, int, int]]":
         name = file.read(name_size).decode()
         at += 5 + name_size + size
         yield name, at - size, size
+
+
+class ImageFile(io.IOBase):
+    """One open file: ``size`` bytes from ``offset`` of the image."""
+
+    def __init__(self, file: "BinaryIO", offset: int, size: int) -> None:
+        file.seek(offset)
+        self._file, self._left = file, size
+
+    def readinto(self, buffer: bytearray) -> int:
+        """Read up to the size of the buffer; return the number of bytes, 0 at the end."""
+        part = self._file.read(min(len(buffer), self._left))
+        buffer[: len(part)] = part
+        self._left -= len(part)
+        return len(part)
+
+    def ioctl(self, request: int, _argument: int) -> int:
+        """Close the file, or name the size in which to read it."""
+        if request == _CLOSE:
+            self._file.close()
+        return _BUFFER if request == _BUFFER_SIZE else 0
+
+
+class ImageFiles:
+    """A file system for ``vfs.mount``. ``open_image`` opens the image."""
+
+    def __init__(self, open_image: "Callable[[], BinaryIO]") -> None:
+        self._open_image = open_image
+        self._files: "dict[str, tuple[int, int]]" = {}
+        self._folders: "set[str]" = set()
+        with open_image() as file:
+            for path, offset, size in files(file):
+                self._files[path] = offset, size
+                parts = path.split("/")
+                for depth in range(1, len(parts)):
+                    self._folders.add("/".join(parts[:depth]))
+
+    def mount(self, *_arguments: bool) -> None:
+        """Do nothing: MicroPython calls it."""
+
+    umount = mount
+
+    def stat(self, path: str) -> "tuple[int, ...]":
+        """Return the type and size of a file or folder. Raises OSError if there is none."""
+        path = path.strip("/")
+        if path in self._folders:
+            return (_FOLDER,) + (0,) * 9
+        if path not in self._files:
+            raise OSError(2)
+        return (_FILE, 0, 0, 0, 0, 0, self._files[path][1], 0, 0, 0)
+
+    def open(self, path: str, _mode: str) -> ImageFile:
+        """Open a file. Raises OSError if there is none."""
+        path = path.strip("/")
+        if path not in self._files:
+            raise OSError(2)
+        return ImageFile(self._open_image(), *self._files[path])

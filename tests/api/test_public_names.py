@@ -85,9 +85,9 @@ def test_a_checker_sees_the_type_of_every_name(tmp_path: Path) -> None:
     lines = [f"import {package}" for package in PACKAGES]
     for package in PACKAGES:
         lines += [f"reveal_type({package}.{name})" for name in importlib.import_module(package).__all__]
-    (tmp_path / "application.py").write_text("\n".join(lines))
+    (tmp_path / "main.py").write_text("\n".join(lines))
     done = subprocess.run(
-        [sys.executable, "-m", "mypy", "--strict", str(tmp_path / "application.py")],
+        [sys.executable, "-m", "mypy", "--strict", str(tmp_path / "main.py")],
         capture_output=True, text=True, check=False, timeout=800, cwd=ROOT,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout

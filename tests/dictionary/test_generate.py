@@ -1,7 +1,6 @@
 """What is generated from the dictionary: fresh, and read by canopen (EDS, DCF) and cantools (DBC) as the table says."""
 
 import math
-import struct
 import subprocess
 import sys
 from functools import cache
@@ -31,7 +30,6 @@ VALUES: dict[tuple[int, int], types.Value] = {
     (0x1017, 0): 500, (0x1800, 1): 0x40000185, (0x2100, 4): -0.25, (0x2102, 1): 77, (0x2110, 6): 1, (0x7133, 1): -3,
     (0x2141, 0): b"\x01\xfe", (0x6134, 1): math.inf,
 }  # fmt: skip
-STATUS = [name for name, _ in table.STATUS_BITS]
 
 
 @pytest.mark.parametrize("name", sorted(generate.generated_files()))
@@ -185,11 +183,6 @@ def _load() -> Any:
     return cantools.database.load_string(dbc_text(), "dbc", strict=True)
 
 
-def _decode(name: str, data: bytes, **options: Any) -> dict[str, Any]:
-    decoded: dict[str, Any] = _load().decode_message(name, data, **options)
-    return decoded
-
-
 def test_messages_and_nodes() -> None:
     db = _load()
     frames = {m.name: m.frame_id for m in db.messages}
@@ -220,36 +213,30 @@ def test_layout_is_that_of_the_signals_module() -> None:
                 assert "unknown" in found.comment
 
 
-def test_contact_frame_by_hand() -> None:
-    decoded = _decode("TIP05_Contact", bytes.fromhex("F401E80300800305"))
-    assert decoded["P"] == 0.5
-    assert decoded["phi"] == 10.0
-    assert decoded["theta"] == "unknown"
-    assert [name for name in STATUS if decoded[name]] == ["contact", "calibrated"]
-    assert decoded["counter"] == 5
-
-
-def test_health_frame_by_hand() -> None:
-    decoded = _decode("TIP01_Health", bytes.fromhex("0080FFFF02050711"))
-    assert decoded["temperature"] == "unknown"
-    assert decoded["u_P"] == "unknown"
-    faults = {k for k, v in decoded.items() if "fault" in k and v}
-    assert faults == {"SG2_fault", "fault_no_data", "fault_wire_break"}
-    assert (decoded["configuration_counter"], decoded["error_register"]) == (7, 0x11)
-    decoded = _decode("TIP01_Health", struct.pack("<hHHBB", 2315, 12, 0, 0, 0))
-    assert decoded["temperature"] == pytest.approx(23.15)
-    assert decoded["u_P"] == pytest.approx(0.012)
-
-
-def test_services_by_hand() -> None:
-    assert _decode("TIP03_Heartbeat", b"\x05")["state"] == "operational"
-    assert _decode("TIP03_Heartbeat", b"\x7f")["state"] == "pre-operational"
-    assert _decode("TIP03_Heartbeat", b"\x85") == {"state": "operational", "toggle": 1}
-    emcy = _decode("TIP03_EMCY", bytes.fromhex("1050810102030405"))
-    assert (emcy["error_code"], emcy["error_register"]) == ("gauge saturated", 0x81)
-    assert [emcy[f"manufacturer_{k}"] for k in range(1, 6)] == [1, 2, 3, 4, 5]
-    assert _decode("NMT", b"\x01\x00") == {"command": "start", "node": "all"}
-    assert _decode("TIP03_Command", b"\x03\x00") == {"command": "zero gauges"}
+@pytest.mark.parametrize(
+    ("name", "data", "values", "flags"),
+    [
+        ("TIP05_Contact", "F401E80300800305", {"P": 0.5, "phi": 10.0, "theta": "unknown", "counter": 5},
+         {"contact", "calibrated"}),
+        ("TIP01_Health", "0080FFFF02050711",
+         {"temperature": "unknown", "u_P": "unknown", "configuration_counter": 7, "error_register": 0x11},
+         {"SG2_fault", "fault_no_data", "fault_wire_break"}),
+        ("TIP01_Health", "0B090C0000000000", {"temperature": 23.15, "u_P": 0.012}, set()),
+        ("TIP03_Heartbeat", "05", {"state": "operational"}, set()),
+        ("TIP03_Heartbeat", "7F", {"state": "pre-operational"}, set()),
+        ("TIP03_Heartbeat", "85", {"state": "operational"}, {"toggle"}),
+        ("TIP03_EMCY", "1050810102030405", {"error_code": "gauge saturated", "error_register": 0x81}, set()),
+        ("TIP03_EMCY", "0000000102030405", {f"manufacturer_{k}": k for k in range(1, 6)}, set()),
+        ("NMT", "0100", {"command": "start", "node": "all"}, set()),
+        ("TIP03_Command", "0300", {"command": "zero gauges"}, set()),
+    ],
+)  # fmt: skip
+def test_frames_by_hand(name: str, data: str, values: dict[str, Any], flags: set[str]) -> None:
+    message = _load().get_message_by_name(name)
+    decoded = message.decode(bytes.fromhex(data))
+    for key, value in values.items():
+        assert decoded[key] == (value if isinstance(value, str) else pytest.approx(value)), key
+    assert {signal.name for signal in message.signals if signal.length == 1 and decoded[signal.name]} == flags
 
 
 @settings(derandomize=True, max_examples=100, deadline=None)

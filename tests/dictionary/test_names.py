@@ -56,15 +56,6 @@ def test_suggestions(text: str, help_: str) -> None:
         names.resolve(text)
 
 
-def test_describe() -> None:
-    found = names.describe(0x7130, 7)
-    assert found is not None
-    assert (found.title, found.name, found.type, found.access) == ("P", "process_value_int16:7", "h", "ro")
-    assert names.describe(0x2100, 10, 3) is None
-    assert names.describe(0x2100, 10, 4) is not None
-    assert names.describe(0x5000, 0) is None
-
-
 def test_all_names() -> None:
     found = names.all_names(3)
     assert len(set(found)) == len(found)

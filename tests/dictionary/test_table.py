@@ -120,12 +120,6 @@ def test_counts_follow_the_number_of_gauges(n: int) -> None:
     assert [entry.sub for entry in od.CALIBRATION_OFFSET.entries(n)] == list(range(1, n + 1))
 
 
-def test_codes_are_those_of_cia_301() -> None:
-    codes = {t.name: t.code for t in types.TYPES.values()}
-    expected = {"INTEGER16": 3, "INTEGER32": 4, "UNSIGNED8": 5, "UNSIGNED16": 6, "UNSIGNED32": 7, "REAL32": 8}
-    assert codes | expected | {"VISIBLE_STRING": 9, "DOMAIN": 15} == codes
-
-
 @pytest.mark.parametrize(
     ("letter", "value", "data"),
     [

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from canopen_device.eds import Description, description, objects, sections
+from canopen_device.eds import Description, description, reader, sections
 from canopen_device.eds import xdd as xdd_module
 from canopen_device.eds.dcf import dcf_text
 from canopen_device.eds.load import device_of
@@ -185,8 +185,8 @@ def test_files_of_domains_are_read_up_to_the_limit(tmp_path: Path, monkeypatch: 
         read += 1
         return file_content(eds, name)
 
-    file_content = objects.file_content
-    monkeypatch.setattr("canopen_device.eds.objects.file_content", content)
+    file_content = reader.file_content
+    monkeypatch.setattr("canopen_device.eds.reader.file_content", content)
     monkeypatch.setattr(description, "MOST_VALUE_BYTES", 1 << 20)
     (tmp_path / "large.bin").write_bytes(bytes(1 << 18))
     entries = [var(f"{0x2000 + k:04X}", 0xF, UploadFile="large.bin") for k in range(50)]

@@ -129,6 +129,8 @@ ODD: dict[str, tuple[str, str, Any, Any, Any]] = {  # content, a finding, a key 
     "no lists at all": (INFO + MANDATORY, r"any.eds: no section \[MandatoryObjects\]", 0x1018, "default", 1),
     "vendor differs": (text().replace("VendorNumber=0x12", "VendorNumber=0x13"),
         r"0x1018:01 has 18, which applies", (0x1018, 1), "default", 0x12),
+    "dummy with h": ("[DummyUsage]\nDummy5h=1\nDummyX=1\n" + text(),
+        r"DummyX=1: the form is Dummy0005=1; skipped", None, lambda found: found.dummies, {5}),
     "pdo count": (text(info=INFO + "NrOfTXPDO=4\n"), r"NrOfTXPDO=4: the file has 0 PDOs", 0x1018, "default", 1),
     "not mappable": (text(var("2000", 5, "rw", "", PDOMapping="0"), pdo(0x1800, "$NODEID+0x180", 255, 0x20000008)),
         r"0x2000:00 has PDOMapping=0; taken as mappable into a TPDO", 0x2000, "directions", 1),

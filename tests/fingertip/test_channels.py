@@ -164,17 +164,13 @@ def test_offsets_are_taken_off_before_the_matrix(n: int) -> None:
     assert talk.channels(n)[:n] == pytest.approx([1e6 * value for value in offsets], abs=0.01)
 
 
-def contact_without(lost: dict[int, float], n: int = 5) -> tuple[bytes, Finger]:
-    """TPDO2 of a loaded node whose gauges ``lost`` (from 1) are off by so many microstrain."""
-    talk = finger(n, load=PUSH)
-    for gauge, microstrain in lost.items():
-        talk.source.offset_microstrain[gauge - 1] = microstrain
-    return talk.frames()[0x285], talk
-
-
 def test_a_lost_gauge_makes_the_force_less_certain() -> None:
-    whole, spared = (contact_without(lost)[1] for lost in ({}, {1: 5000.0}))
-    assert spared.get("f", 0x2107, 2) > 1.3 * whole.get("f", 0x2107, 2)  # phi: this load is mostly F3
+    talk = finger(5, load=PUSH)
+    talk.frames()
+    whole = talk.get("f", 0x2107, 2)
+    talk.source.offset_microstrain[0] = 5000.0
+    assert struct.unpack_from("<h", talk.frames()[0x285])[0] == pytest.approx(1000, abs=3)
+    assert talk.get("f", 0x2107, 2) > 1.3 * whole  # phi: this load is mostly F3
 
 
 def test_a_broken_wire_costs_its_gauge_alone() -> None:
@@ -221,13 +217,3 @@ def test_node_gives_its_own_eds(eds: bytes) -> None:
 
 def test_three_gauges_have_four_tpdos_and_a_node_without_room_for_its_eds_no_object_of_it() -> None:
     assert {finger().upload(*place) for place in ((0x1021, 0), (0x1022, 0), (0x1804, 1), (0x1A04, 1))} == {0x06020000}
-
-
-def test_force_goes_on_while_the_gauges_left_have_rank_3() -> None:
-    # Gauges 1, 4 see F1; 2, 5 see F2; 3 alone sees F3.
-    for lost in ([1], [2], [4], [5], [1, 2], [4, 5], [2, 4], [3], [1, 4], [2, 5], [1, 2, 3]):
-        sent, _ = contact_without(dict.fromkeys(lost, 5000.0))
-        off = abs(struct.unpack("<h", sent[:2])[0] - 1000)
-        unknown = lost in ([3], [1, 4], [2, 5], [1, 2, 3])
-        assert sent[:6] == bytes.fromhex("008000800080") if unknown else off <= 3, lost
-        assert sent[6] & SATURATED

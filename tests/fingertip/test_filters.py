@@ -117,19 +117,6 @@ def test_every_conversion_goes_in_whenever_the_node_is_stepped(step_us: int) -> 
     assert [talk.sync(after_us=500).gauges[0] for _ in range(3)] == [775, 785, 795]  # one conversion more at each SYNC
 
 
-def test_a_repeating_average_brings_a_sample_for_each_block() -> None:
-    talk = filtered(REPEATING, 4, calibrated=False)
-    ramp(talk)
-    got = [talk.sync(after_us=500) for _ in range(16)]
-    fresh = [not pdos.status & STALE for pdos in got]
-    first = fresh.index(True)
-    assert fresh[first:] == [(k - first) % 4 == 0 for k in range(first, 16)]
-    counters = [pdos.counter for pdos in got[first:]]
-    assert counters == [counters[0] + k // 4 for k in range(len(counters))]
-    assert all(pdos.gauges == (UNKNOWN,) * 3 for pdos, new in zip(got, fresh, strict=True) if not new)
-    assert set(np.diff([pdos.gauges[0] for pdos, new in zip(got, fresh, strict=True) if new])) == {40}
-
-
 def test_frames_of_a_filtered_node_byte_by_byte() -> None:
     talk = finger(calibrated=False)
     talk.source.load = (1.0, 90.0, 0.0)  # F1 = F2 = 1 N: 1000 counts

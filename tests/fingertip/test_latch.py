@@ -293,18 +293,6 @@ def test_of_any_other_channel_only_6150h_changes(sub: int, index: int, beyond: f
     assert talk.get("B", 0x1001) == 0
 
 
-def test_the_span_of_an_angle_does_not_wrap() -> None:
-    talk = finger(load=(1.0, 175.0, 170.0))
-    assert talk.put("f", START, 8, 170.0) == talk.put("f", END, 8, -170.0) == 0  # start over end: not checked
-    talk.sync()
-    assert talk.get("h", 0x7130, 8) == pytest.approx(17500, abs=2)
-    assert talk.get("B", 0x6150, 8) == 3
-    assert talk.put("f", END, 8, 174.9) == 0
-    assert talk.get("B", 0x6150, 8) == 3
-    assert talk.put("f", END, 8, 180.0) == 0
-    assert talk.get("B", 0x6150, 8) == 0
-
-
 @given(
     st.integers(1, 9),
     st.one_of(st.integers(-2, 2), REALS),

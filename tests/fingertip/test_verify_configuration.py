@@ -275,14 +275,6 @@ def test_health_goes_out_before_the_first_pdo_of_the_new_meaning(talk: Finger) -
     assert sent[0][1][6] == counter(talk) == 4
 
 
-def test_the_counter_wraps_and_is_0_at_boot(talk: Finger) -> None:
-    for k in range(256):
-        assert talk.put("f", 0x6124, 1, 1.0 + k) == 0
-    assert counter(talk) == 2
-    talk.say("> 000#8105\n< 705#00")
-    assert counter(talk) == 0
-
-
 def test_a_store_of_version_1_is_refused() -> None:
     store = MemoryStore()
     talk = finger(store=store)

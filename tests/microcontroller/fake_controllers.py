@@ -1,6 +1,6 @@
 """CAN controllers as their data sheets describe them, register by register, for CPython and MicroPython."""
 
-from microcontroller.fakes import FakePin
+from microcontroller.fakes import FakeSpi
 
 
 class FakeBus:
@@ -111,7 +111,7 @@ class FakePybCan(FakeBus):
             raise OSError(116)
 
 
-class FakeMcp2515(FakeBus):
+class FakeMcp2515(FakeSpi, FakeBus):
     """An MCP2515 with SPI and chip select; frames come into its two buffers one after the other."""
 
     MODIFIABLE = (0x0F, 0x2B, 0x2C, 0x2D, 0x30, 0x40, 0x50, 0x60, 0x70)
@@ -119,43 +119,23 @@ class FakeMcp2515(FakeBus):
 
     def __init__(self, oscillator_hz: int = 16000000) -> None:
         FakeBus.__init__(self)
+        FakeSpi.__init__(self)
         self._oscillator_hz = oscillator_hz
-        self.dead = False
-        self.registers = bytearray(0x80)
-        self.cs = FakePin(1, self._selected)
-        self._in = bytearray()
         self._reset()
 
     def _reset(self) -> None:
         self.registers = bytearray(0x80)
         self.registers[0x0E] = self.registers[0x0F] = 0x80
 
-    def _selected(self, level: int) -> None:
-        if level == 1 and self._in and not self.dead:
-            self._execute()
-        self._in = bytearray()
-
-    def write(self, data: bytes) -> None:
-        assert self.cs.level == 0, "SPI without chip select"
-        self._in += data
-
-    def readinto(self, buffer: bytearray, _write: int = 0) -> None:
-        assert self.cs.level == 0, "SPI without chip select"
-        command = self._in[0]
-        for k in range(len(buffer)):
-            buffer[k] = 0xFF if self.dead else self._out(command, k)
-
-    def _out(self, command: int, k: int) -> int:
+    def _answer(self, count: int) -> "bytes | bytearray":
         self._arrive()
-        if command == 0x03:
-            address = self._in[1] + k
-            if address == 0x2D:
-                return self.registers[0x2D] & 0xC0 | self.EFLG[self.error] | (0x40 if self.overrun else 0)
-            return self.registers[address]
+        command = self._command[0]
         if command == 0xA0:
-            return self.registers[0x2C] & 3 | (4 if self.registers[0x30] & 8 else 0)
-        assert command in (0x90, 0x94)
-        return self.registers[(0x61 if command == 0x90 else 0x71) + k]
+            return bytes((self.registers[0x2C] & 3 | (4 if self.registers[0x30] & 8 else 0),))
+        if command == 0x03 and self._command[1] == 0x2D:
+            return bytes((self.registers[0x2D] & 0xC0 | self.EFLG[self.error] | (0x40 if self.overrun else 0),))
+        first = {0x03: self._command[-1], 0x90: 0x61, 0x94: 0x71}[command]
+        return self.registers[first : first + count]
 
     def _arrive(self) -> None:
         """The next frames into the buffers that are free; buffer 1 is used only while 0 is full."""
@@ -174,18 +154,18 @@ class FakeMcp2515(FakeBus):
                 self.registers[0x2C] |= flag
 
     def _execute(self) -> None:
-        command = self._in[0]
+        command = self._command[0]
         if command == 0xC0:
             self._reset()
         elif command == 0x02:
-            for k in range(len(self._in) - 2):
-                self._set(self._in[1] + k, 0xFF, self._in[2 + k])
+            for k in range(len(self._command) - 2):
+                self._set(self._command[1] + k, 0xFF, self._command[2 + k])
         elif command == 0x05:
-            assert self._in[1] in self.MODIFIABLE
-            self._set(self._in[1], self._in[2], self._in[3])
+            assert self._command[1] in self.MODIFIABLE
+            self._set(self._command[1], self._command[2], self._command[3])
         elif command == 0x40:
-            for k in range(len(self._in) - 1):
-                self.registers[0x31 + k] = self._in[1 + k]
+            for k in range(len(self._command) - 1):
+                self.registers[0x31 + k] = self._command[1 + k]
         elif command == 0x81:
             self.registers[0x30] |= 8
         elif command in (0x90, 0x94):

@@ -135,19 +135,43 @@ class FakeNau7802:
             raise OSError(19)
 
 
-class FakeAds1220:
+class FakeSpi:
+    """A chip on SPI: what is written while it is selected is executed when chip select rises."""
+
+    dead = False
+
+    def __init__(self) -> None:
+        self.cs = FakePin(1, self._selected)
+        self._command = bytearray()
+
+    def _selected(self, level: int) -> None:
+        if level == 1 and self._command and not self.dead:
+            self._execute()  # type: ignore[attr-defined]
+        self._command = bytearray()
+
+    def write(self, data: bytes) -> None:
+        assert self.cs.level == 0, "SPI without chip select"
+        self._command += data
+
+    def readinto(self, buffer: bytearray, _write: int = 0) -> None:
+        assert self.cs.level == 0, "SPI without chip select"
+        answer = b"\xff" * len(buffer) if self.dead else self._answer(len(buffer))  # type: ignore[attr-defined]
+        for k in range(len(buffer)):
+            buffer[k] = answer[k]
+
+
+class FakeAds1220(FakeSpi):
     """An ADS1220 with SPI, chip select and data-ready pin. ``offset`` is its own, shown with shorted inputs too."""
 
     RATES = (20, 45, 90, 175, 330, 600, 1000, 1000)
 
     def __init__(self, clock: FakeClock, signal: "list[int]", offset: int = 0, temperature: int = 0) -> None:
+        FakeSpi.__init__(self)
         self.clock, self.signal, self.offset, self.temperature = clock, signal, offset, temperature
-        self.dead = self.stuck = False
+        self.stuck = False
         self.registers = bytearray(4)
-        self.cs = FakePin(1, self._selected)
         self.drdy = FakePin(1, on_get=lambda: 0 if self._ready() else 1)
         self._begun_us, self._read = -1, 0
-        self._command = bytearray()
 
     def _period_us(self) -> int:
         rate = self.RATES[self.registers[1] >> 5]
@@ -160,32 +184,14 @@ class FakeAds1220:
     def _ready(self) -> bool:
         return not self.dead and not self.stuck and self._conversion() > self._read
 
-    def _selected(self, level: int) -> None:
-        if level == 1 and self._command:
-            self._execute()
-        self._command = bytearray()
-
-    def write(self, data: bytes) -> None:
-        assert self.cs.level == 0, "SPI without chip select"
-        self._command += data
-
-    def readinto(self, buffer: bytearray, _write: int = 0) -> None:
-        assert self.cs.level == 0, "SPI without chip select"
-        if self.dead:
-            for k in range(len(buffer)):
-                buffer[k] = 0xFF
-            return
+    def _answer(self, count: int) -> "bytes | bytearray":
         if self._command and self._command[0] & 0xF0 == 0x20:
             first = self._command[0] >> 2 & 3
-            for k in range(len(buffer)):
-                buffer[k] = self.registers[first + k]
-            return
-        assert len(buffer) == 3
+            return self.registers[first : first + count]
+        assert count == 3
         assert not self._command
-        value = self._value() & 0xFFFFFF
-        for k in range(3):
-            buffer[k] = value >> 16 - 8 * k & 0xFF
         self._read = self._conversion()
+        return (self._value() & 0xFFFFFF).to_bytes(3, "big")
 
     def _value(self) -> int:
         if self.registers[1] & 2:
@@ -195,8 +201,6 @@ class FakeAds1220:
         return max(-0x800000, min(0x7FFFFF, value))
 
     def _execute(self) -> None:
-        if self.dead:
-            return
         command = self._command[0]
         if command == 0x06:
             self.registers = bytearray(4)

@@ -291,7 +291,7 @@ def run_main(program: str, inside: str, machine: str) -> list[str]:
     files |= {f"{engine.LIBRARY}/machine.py": machine.encode(), "/main.py": (FOLDER / program).read_bytes()}
     if inside == "pyb":
         files[f"{engine.LIBRARY}/pyb.py"] = PYB.encode()
-    return engine.run(files, ["import sys", f"sys.path.append({engine.LIBRARY!r})", RUN])
+    return engine.run(files, [RUN])
 
 
 @pytest.mark.parametrize(("program", "inside"), [("main.py", "machine"), ("main.py", "pyb"), ("main_mcp2515.py", "")])
@@ -347,8 +347,7 @@ def test_the_loader_starts_a_program_from_its_image_once_unless_it_is_confirmed(
         f"{engine.LIBRARY}/machine.py": MACHINE.replace("0x18, 0x10, 4", "0x56, 0x1F, 1").encode(),
         f"{engine.LIBRARY}/tipforce_loader/board.py": board.encode(),
     }
-    path = f"import sys\nsys.path.append({engine.LIBRARY!r})"
-    lines = engine.run(files, [path, START, POWER_CYCLE, START])
+    lines = engine.run(files, [START, POWER_CYCLE, START])
     crc = image[16:20].hex()
     # Power goes within the trial: the same as a program that hangs until the watchdog restarts the board.
     assert [line for line in lines if line[:7] in ("program", "importe", "585#435")] == [

@@ -71,7 +71,7 @@ def compile_file(path: Path, optimisation: int) -> bytes:
 
 
 def run(files: Mapping[str, bytes], calls: Sequence[str]) -> list[str]:
-    """Run ``calls`` one after the other with ``files`` in the file system; the lines that they print.
+    """Run ``calls`` one after the other with ``files`` in the file system, LIBRARY on the path; the lines they print.
 
     Raises AssertionError with the traceback if one fails, or with the next step if Node.js or MicroPython is missing.
     """
@@ -84,7 +84,7 @@ def run(files: Mapping[str, bytes], calls: Sequence[str]) -> list[str]:
     )
     job = {
         "files": {path: base64.b64encode(content).decode() for path, content in files.items()},
-        "calls": list(calls),
+        "calls": ["import sys", f"sys.path.append({LIBRARY!r})", *calls],
         "pystack": PYSTACK_WORDS,
     }
     done = subprocess.run(

@@ -57,7 +57,7 @@ def heap(files: Mapping[str, bytes]) -> Heap:
         *walk, "print('heap', most)", "rows = row = None",
     ]  # fmt: skip
     calls = [
-        "import sys, gc", f"sys.path.append({engine.LIBRARY!r})", "print('heap', gc.mem_alloc())",
+        "import gc", "print('heap', gc.mem_alloc())",
         "import on_node", "from tipforce.dictionary import table, table_objects\ntable_objects.objects()", count,
         *bring_up(talk), count,
         *build,

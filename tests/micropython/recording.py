@@ -76,7 +76,7 @@ def replay(
 ) -> list[list[str]]:
     """Hold each conversation on MicroPython with ``files`` as its library: the answers to its steps, and the store."""
     told = dict(files)
-    calls = ["import sys", f"sys.path.append({engine.LIBRARY!r})", replayer]
+    calls = [replayer]
     for number, recording in enumerate(recordings):
         told[f"/recording{number}"] = recording.text().encode()
         calls.append(f"replay = Replay('/recording{number}')")

@@ -124,8 +124,7 @@ def test_the_verdicts_of_both_interpreters_are_equal(n: int) -> None:
     files = engine.sources() | {
         f"{engine.LIBRARY}/judging.py": PROGRAM.encode(), "/samples": json.dumps(told).encode(),
     }  # fmt: skip
-    calls = ["import sys", f"sys.path.append({engine.LIBRARY!r})", "import judging", "judging.judge('/samples')"]
-    there = [json.loads(line) for line in engine.run(files, calls)]
+    there = [json.loads(line) for line in engine.run(files, ["import judging", "judging.judge('/samples')"])]
     assert [one[:2] for one in there] == [one[:2] for one in here]
     for mine, theirs in zip(here, there, strict=True):
         for ours, other in zip(mine[2:], theirs[2:], strict=True):
@@ -188,7 +187,7 @@ power([None, (0x000, b'\\1\\5'), (0x080, b''), (0x605, b'\\x23\\x10\\x10\\x01sav
 def test_the_documented_firmware() -> None:
     (block,) = DOCUMENT.read_text(encoding="utf-8").split("```python\n")[1:]
     files = engine.sources() | {f"{engine.LIBRARY}/firmware.py": block.split("```")[0].encode()}
-    assert engine.run(files, ["import sys", f"sys.path.append({engine.LIBRARY!r})", BOARD]) == [
+    assert engine.run(files, [BOARD]) == [
         "705#00",
         # Counts of 0.1 microstrain are the gauges' INTEGER16; no calibration, so the contact is unknown.
         "185#640038ff2c010001",

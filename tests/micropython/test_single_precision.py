@@ -17,8 +17,8 @@ from canopen_device.core.node import Device
 from micropython.footprint import ready_node
 from micropython.recording import Talk
 from tipforce.dictionary import table
-from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.calibration import Active
+from tipforce.fingertip.node import Fingertip
 from tipforce.sensor.contact import scalar
 
 single = np.float32

@@ -12,8 +12,8 @@ from canopen_device.core.node import Device
 from canopen_device.core.storage import Storage
 from stability.case import Case, cases, plain, recorded, shortened
 from tipforce.fingertip import calibration, filters
-from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.channels import Channels
+from tipforce.fingertip.node import Fingertip
 from tipforce.host.decoding import decoder, sample_table
 from tipforce.host.logs import candump
 from tipforce.sensor.calibration import regressors

@@ -15,7 +15,7 @@ from bench.measure import background
 
 from canopen_device.core.node import Device
 from host.bus_with_nodes import new_channel
-from tipforce.fingertip.application import Fingertip
+from tipforce.fingertip.node import Fingertip
 from tipforce.fingertip.source import Source
 from tipforce.sensor.calibration.simulation import Simulated
 from tipforce_tools.cli.main import main

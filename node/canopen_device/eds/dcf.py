@@ -18,7 +18,7 @@ def dcf_text(described: Description, values: Mapping[tuple[int, int], Value]) ->
     sections.pop(_COMMISSIONING, None)
     for part in sections.values():
         text = part.keys.pop("parametervalue", None)
-        if text and not described.is_dcf and not part.get("DefaultValue"):  # it is the default, see ``objects``
+        if text and not described.is_dcf and not part.get("DefaultValue"):  # it is the default, see ``reader``
             part.keys["defaultvalue"], part.written["defaultvalue"] = text, "DefaultValue"
     without = {index for index, _ in values} - file.objects.keys() - file.subs.keys()  # such as those of CompactPDO
     for (index, sub), value in sorted(values.items()):
@@ -73,8 +73,7 @@ def _object_lines(described: Description, index: int, values: Mapping[tuple[int,
 
 def _text(described: Description, index: int, sub: int, value: Value) -> str:
     entry = described.entry(index, sub)
-    if entry is None:
-        raise AssertionError((index, sub))
+    assert entry is not None
     if isinstance(value, int) and entry.has_node_id and value & _NODE_ID_BITS == described.node_id:
         return f"$NODEID+0x{value - described.node_id:X}"
     return format_value(entry.letter, value)

@@ -27,7 +27,7 @@ class Entry:
 
     ``default`` and ``value`` (ParameterValue, None without one) include the node-id. ``directions`` are those of the
     PDOs that may map it: the flags TPDO and RPDO of ``device.object_dictionary``. ``access`` is ro, wo, rw, rwr, rww or
-    const; ``letter`` one of ``dictionary.types``; ``line`` that of its section.
+    const; ``letter`` one of ``types``; ``line`` that of its section.
     """
 
     index: int
@@ -138,12 +138,21 @@ class Description:
         A name is the ParameterName, "Object name/Entry name" for an entry of a record; case and spaces do not matter.
         Raises InputError with the nearest names, and for a name that several entries have.
         """
-        if isinstance(key, str):
-            match = _NUMERIC.fullmatch(key.strip())
-            if match is None:
-                return _named(self, key)
+        if not isinstance(key, str):
+            return _numbered(self, key, None) if isinstance(key, int) else _numbered(self, *key)
+        if match := _NUMERIC.fullmatch(key.strip()):
             return _numbered(self, int(match[1] or match[2], 16), None if match[3] is None else int(match[3], 16))
-        return _numbered(self, key, None) if isinstance(key, int) else _numbered(self, *key)
+        known = names(self)
+        named = known.get(folded(key), [])
+        if len(named) == 1:
+            return named[0]
+        if named:
+            shown = ", ".join(entry.place for entry in named[:4]) + (", ..." if len(named) > 4 else "")
+            raise InputError(f"{key!r} names {len(named)} entries of {self.path.name}: {shown}; write one of these")
+        near = difflib.get_close_matches(folded(key), list(known), 3, 0.5)
+        shown = ", ".join(f"{known[name][0].name!r} ({known[name][0].place})" for name in near)
+        hint = f"close to it: {shown}" if near else "write an index such as 0x6064 or a ParameterName of the file"
+        raise InputError(f"{self.path.name}: no object is called {key!r}; {hint}")
 
 
 def _numbered(description: Description, index: int, sub: int | None) -> Entry:
@@ -177,17 +186,3 @@ def names(description: Description) -> dict[str, list[Entry]]:
             for text in (object_name,) if set(part.entries) == {0} else (both, name):
                 known.setdefault(text, []).append(entry)
     return known
-
-
-def _named(description: Description, key: str) -> Entry:
-    known = names(description)
-    named = known.get(folded(key), [])
-    if len(named) == 1:
-        return named[0]
-    if named:
-        shown = ", ".join(entry.place for entry in named[:4]) + (", ..." if len(named) > 4 else "")
-        raise InputError(f"{key!r} names {len(named)} entries of {description.path.name}: {shown}; write one of these")
-    near = difflib.get_close_matches(folded(key), list(known), 3, 0.5)
-    shown = ", ".join(f"{known[name][0].name!r} ({known[name][0].place})" for name in near)
-    hint = f"close to it: {shown}" if near else "write an index such as 0x6064 or a ParameterName of the file"
-    raise InputError(f"{description.path.name}: no object is called {key!r}; {hint}")

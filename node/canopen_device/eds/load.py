@@ -61,7 +61,11 @@ def device_of(description: Description, save: Save | None = None, load: Load | N
     stored_eds = description.objects.get(communication.STORED_EDS)
     if stored_eds is not None and set(stored_eds.entries) == {0}:
         od.readers[communication.STORED_EDS] = lambda _sub: description.content
-    stored = _dcf_settings(description, od)
+    given = [entry for entry in description.entries() if entry.value is not None]
+    for entry in given:
+        if entry.access not in (READ_ONLY, CONSTANT) and entry.value is not None:
+            od.values[entry.index << 8 | entry.sub] = core_value(entry.letter, entry.value)
+    stored = {name: with_crc(pack_settings(od, first, last)) for name, first, last in _GROUPS if given}
 
     def load_or_stored(group: str) -> bytes | None:
         data = None if load is None else load(group)
@@ -127,11 +131,3 @@ def _core_entry(entry: Entry, node_id: int) -> tuple[str, str, int, CoreValue, i
         default -= node_id
     access = "rw" if entry.access.startswith("rw") else entry.access
     return core_kind(entry.letter), access, flags, default, entry.low, entry.high
-
-
-def _dcf_settings(description: Description, od: ObjectDictionary) -> dict[str, bytes]:
-    given = [entry for entry in description.entries() if entry.value is not None]
-    for entry in given:
-        if entry.access not in (READ_ONLY, CONSTANT) and entry.value is not None:
-            od.values[entry.index << 8 | entry.sub] = core_value(entry.letter, entry.value)
-    return {name: with_crc(pack_settings(od, first, last)) for name, first, last in _GROUPS if given}

@@ -206,7 +206,7 @@ def add_key(file: EdsFile, section: Section, name: str, value: str, number: int)
 
 
 # --- the keys that have one form -------------------------------------------------------------------------------
-# Those whose value depends on others (DataType, AccessType, values and limits of an entry) are read in ``objects``.
+# Those whose value depends on others (DataType, AccessType, values and limits of an entry) are read in ``reader``.
 
 BIT_RATES_KBIT_S = (10, 20, 50, 125, 250, 500, 800, 1000)
 LONGEST_NAME = 255  # CiA 306-1 has 241

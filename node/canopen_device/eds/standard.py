@@ -8,38 +8,33 @@ from canopen_device.eds.description import ARRAY, RECORD, VAR, Description, Entr
 from canopen_device.eds.sections import EdsFile, Section
 from canopen_device.types import LETTER_OF_CODE, TYPES
 
-_U8, _U16, _U32 = "B", "H", "I"
-_VARIABLES = {
-    at.DEVICE_TYPE: _U32, at.ERROR_REGISTER: _U8, at.MANUFACTURER_STATUS: _U32, at.COB_ID_SYNC: _U32,
-    at.SYNC_PERIOD: _U32, at.SYNC_WINDOW: _U32, at.DEVICE_NAME: "s", at.HARDWARE_VERSION: "s",
-    at.SOFTWARE_VERSION: "s", at.GUARD_TIME: _U16, at.LIFE_TIME_FACTOR: _U8, at.COB_ID_TIME: _U32,
-    at.HIGH_RESOLUTION_TIME: _U32, at.COB_ID_EMCY: _U32, at.EMCY_INHIBIT_TIME: _U16, at.PRODUCER_HEARTBEAT: _U16,
-    at.SYNC_OVERFLOW: _U8, at.STORED_EDS: "D", at.EDS_FORMAT: _U16, at.NMT_STARTUP: _U32,
+_LIST = "B" + 255 * "I"
+_LETTERS = {  # the types of an object's sub-indices, from 0 on
+    at.DEVICE_TYPE: "I", at.ERROR_REGISTER: "B", at.MANUFACTURER_STATUS: "I", at.COB_ID_SYNC: "I",
+    at.SYNC_PERIOD: "I", at.SYNC_WINDOW: "I", at.DEVICE_NAME: "s", at.HARDWARE_VERSION: "s",
+    at.SOFTWARE_VERSION: "s", at.GUARD_TIME: "H", at.LIFE_TIME_FACTOR: "B", at.COB_ID_TIME: "I",
+    at.HIGH_RESOLUTION_TIME: "I", at.COB_ID_EMCY: "I", at.EMCY_INHIBIT_TIME: "H", at.PRODUCER_HEARTBEAT: "H",
+    at.SYNC_OVERFLOW: "B", at.STORED_EDS: "D", at.EDS_FORMAT: "H", at.NMT_STARTUP: "I", at.ERROR_HISTORY: _LIST,
+    at.STORE_PARAMETERS: _LIST, at.RESTORE_DEFAULTS: _LIST, at.CONSUMER_HEARTBEAT: _LIST, at.IDENTITY: _LIST,
+    at.VERIFY_CONFIGURATION: _LIST, at.ERROR_BEHAVIOUR: 256 * "B",
 }  # fmt: skip
-_LISTS = {
-    at.ERROR_HISTORY: _U32, at.STORE_PARAMETERS: _U32, at.RESTORE_DEFAULTS: _U32, at.CONSUMER_HEARTBEAT: _U32,
-    at.IDENTITY: _U32, at.VERIFY_CONFIGURATION: _U32, at.ERROR_BEHAVIOUR: _U8,
-}  # fmt: skip
-_PDO_PARAMETER = {0: _U8, 1: _U32, 2: _U8, 3: _U16, 4: _U8, 5: _U16, 6: _U8}
-_SDO_PARAMETER = {0: _U8, 1: _U32, 2: _U32, 3: _U8}
+_PDO_LETTERS, _SDO_LETTERS = "BIBHBHB", "BIIB"
 _MANDATORY = {  # the names of objects, and of the entries of a record
     at.DEVICE_TYPE: ["Device type"], at.ERROR_REGISTER: ["Error register"],
     at.IDENTITY: ["Identity", "Highest sub-index supported", "Vendor-ID", "Product code", "Revision number"],
 }  # fmt: skip
-_LAST_SDO = at.SDO_SERVER | 0xFF
 
 
 def standard_letter(index: int, sub: int) -> str | None:
     """Return the type of an entry of the communication area, None where CiA 301 fixes none."""
-    if index in _VARIABLES:
-        return _VARIABLES[index] if sub == 0 else None
+    letters = _LETTERS.get(index, "")
     if at.RPDO <= index <= at.LAST_RPDO or at.TPDO <= index <= at.LAST_TPDO:
-        return _PDO_PARAMETER.get(sub)
-    if at.SDO_SERVER <= index <= _LAST_SDO:
-        return _SDO_PARAMETER.get(sub)
-    if index in _LISTS or is_mapping(index):
-        return _LISTS.get(index, _U32) if sub else _U8
-    return None
+        letters = _PDO_LETTERS
+    elif at.SDO_SERVER <= index <= at.SDO_SERVER | 0xFF:
+        letters = _SDO_LETTERS
+    elif is_mapping(index):
+        letters = _LIST
+    return letters[sub : sub + 1] or None
 
 
 def is_mapping(index: int) -> bool:
@@ -54,7 +49,7 @@ def add_mandatory(eds: Description) -> None:
             continue
         made = eds.objects[index] = Object(index, name, RECORD if entry_names else VAR, 0)
         for sub, entry_name in enumerate(entry_names or [name]):
-            letter, default = standard_letter(index, sub) or _U8, 0 if sub else max(0, len(entry_names) - 1)
+            letter, default = standard_letter(index, sub) or "B", 0 if sub else max(0, len(entry_names) - 1)
             made.entries[sub] = Entry(index, sub, entry_name, letter, "ro", default, has_default=not sub)
         value = "the numbers of [DeviceInfo]" if entry_names else "the value 0"
         eds.add(0, f"no object 0x{index:04X}, which is mandatory (CiA 301, 7.5.2); added with {value}")
@@ -125,12 +120,11 @@ def _parameter(eds: Description, line: int, index: int, number: int, mask: int, 
     made.entries[0] = Entry(index, 0, "Highest sub-index", "B", "const", max(subs), line=line)
     for sub in subs:
         name, default = _PARAMETERS[sub - 1], _EVENT_DRIVEN if sub == 2 else 0
-        made.entries[sub] = Entry(index, sub, name, _PDO_PARAMETER[sub], "rw", default, line=line)
-    if 1 in subs and number < len(bases):
-        no_rtr = codes.NO_RTR if bases is codes.TPDO_BASES else 0
-        made.entries[1].default, made.entries[1].has_node_id = bases[number] + eds.node_id | no_rtr, True
-    elif 1 in subs:
-        made.entries[1].default = codes.COB_ID_INVALID
+        made.entries[sub] = Entry(index, sub, name, _PDO_LETTERS[sub], "rw", default, line=line)
+    if 1 in subs:
+        no_rtr, predefined = codes.NO_RTR if bases is codes.TPDO_BASES else 0, number < len(bases)
+        made.entries[1].default = bases[number] + eds.node_id | no_rtr if predefined else codes.COB_ID_INVALID
+        made.entries[1].has_node_id = predefined
     return made
 
 
@@ -155,8 +149,9 @@ def check(file: EdsFile, eds: Description) -> None:
             eds.add(0, f"no section [{name}]")
     if any(name in file.sections for name in _OBJECT_LISTS):
         _check_lists(file, eds)
-    if "supportedmodules" in file.sections and _count(file.sections["supportedmodules"], "NrOfEntries"):
-        eds.add(file.sections["supportedmodules"].line, "[SupportedModules]: objects of modules are not loaded")
+    modules = file.sections.get("supportedmodules")
+    if modules is not None and values.integer(modules.get("NrOfEntries") or "").value:
+        eds.add(modules.line, "[SupportedModules]: objects of modules are not loaded")
     _check_parameter_values(file, eds)
     for index, sub, base in _WITH_NODE_ID:  # identifiers of EMCY and SDO
         entry = eds.entry(index, sub)
@@ -171,11 +166,6 @@ def check(file: EdsFile, eds: Description) -> None:
         _check_pdos(eds, first, last, direction)
 
 
-def _count(section: Section, *keys: str) -> int | None:
-    text = next((section.get(key) for key in keys if section.get(key)), None)
-    return None if text is None else values.integer(text).value
-
-
 def _check_lists(file: EdsFile, eds: Description) -> None:
     listed: set[int] = set()
     known = file.objects.keys() | file.subs.keys()
@@ -184,9 +174,8 @@ def _check_lists(file: EdsFile, eds: Description) -> None:
         if section is None:
             continue
         own = [(key, text) for key, text in section.keys.items() if key[:1].isdigit()]
-        problem = _count(section, *_COUNT_KEYS)
-        if problem != len(own):
-            key = next((key for key in _COUNT_KEYS if section.get(key)), _COUNT_KEYS[0])
+        key = next((key for key in _COUNT_KEYS if section.get(key)), _COUNT_KEYS[0])
+        if values.integer(section.get(key) or "").value != len(own):
             section.say(key, f"the list has {len(own)}")
         for key, text in own:
             index = _listed_index(file, text)

@@ -122,12 +122,10 @@ def _integer(kind: DataType, text: str, node_id: int) -> tuple[int, bool, str]:
     value, has_node_id, remark = integer(text, node_id)
     if value is None:
         return 0, False, f"{remark}; {_AS_ZERO}"
-    assert kind.limits is not None
-    assert kind.size is not None
-    low, high = kind.limits
+    low, high = kind.limits or (0, 0)
     if low <= value <= high:
         return value, has_node_id, remark
-    bits = 8 * kind.size
+    bits = 8 * (kind.size or 0)
     wrapped = (value + (1 << bits - 1)) % (1 << bits) - (1 << bits - 1) if low < 0 else value % (1 << bits)
     if kind.letter != "?" and -(1 << bits - 1) <= value < 1 << bits:  # the same bits with the other sign
         as_bits = "x" in text.lower() and low < 0

@@ -16,12 +16,13 @@ from canopen_device.types import Value
 
 _NAMESPACE = "http://www.canopen.org/xml/1.1"
 _HEADER = """\
+  <co:ISO15745Profile>
     <ProfileHeader>
-      <ProfileIdentification>{identification}</ProfileIdentification>
+      <ProfileIdentification>CANopen {} profile</ProfileIdentification>
       <ProfileRevision>1.1</ProfileRevision>
       <ProfileName/>
       <ProfileSource/>
-      <ProfileClassID>{kind}</ProfileClassID>
+      <ProfileClassID>{}</ProfileClassID>
       <ISO15745Reference>
         <ISO15745Part>1</ISO15745Part>
         <ISO15745Edition>1</ISO15745Edition>
@@ -29,7 +30,14 @@ _HEADER = """\
       </ISO15745Reference>
     </ProfileHeader>
 """
-_FUNCTION = """\
+_DOCUMENT = f"""\
+<?xml version="1.0" encoding="UTF-8"?>
+<co:ISO15745ProfileContainer xmlns:co="{_NAMESPACE}" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance">
+{_HEADER.format("device", "Device")}\
+    <ProfileBody xsi:type="co:ProfileBody_Device_CANopen" {{body}} supportedLanguages="en">
+      <co:DeviceIdentity>
+{{identity}}\
+      </co:DeviceIdentity>
       <co:DeviceFunction>
         <co:capabilities>
           <co:characteristicsList>
@@ -40,6 +48,29 @@ _FUNCTION = """\
           </co:characteristicsList>
         </co:capabilities>
       </co:DeviceFunction>
+    </ProfileBody>
+  </co:ISO15745Profile>
+{_HEADER.format("communication network", "CommunicationNetwork")}\
+    <ProfileBody xsi:type="co:ProfileBody_CommunicationNetwork_CANopen" {{body}}>
+      <ApplicationLayers>
+        <co:CANopenObjectList {{counts}}>
+{{objects}}\
+        </co:CANopenObjectList>
+{{dummies}}\
+      </ApplicationLayers>
+      <TransportLayers>
+        <PhysicalLayer>
+          <baudRate defaultValue="{{highest}} Kbps">
+{{rates}}\
+          </baudRate>
+        </PhysicalLayer>
+      </TransportLayers>
+      <NetworkManagement>
+        <CANopenGeneralFeatures {{features}} layerSettingServiceSlave="{{lss}}"/>
+      </NetworkManagement>
+    </ProfileBody>
+  </co:ISO15745Profile>
+</co:ISO15745ProfileContainer>
 """
 _DATE = "2026-01-01"  # the text is the same at each run
 
@@ -75,50 +106,27 @@ def xdd_text(described: Description, creator: str = "canopen_device") -> str:
     globally have the namespace, those below a type have none."""
     name = quoteattr(described.path.stem + ".xdd")
     body = f'formatName="CANopen" formatVersion="1.0" fileName={name} fileCreator={quoteattr(creator)}'
-    body += f' fileCreationDate="{_DATE}" fileVersion="1"'
-    lines = [
-        '<?xml version="1.0" encoding="UTF-8"?>\n',
-        f'<co:ISO15745ProfileContainer xmlns:co="{_NAMESPACE}" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance">\n',
-        "  <co:ISO15745Profile>\n",
-        _HEADER.format(identification="CANopen device profile", kind="Device"),
-        f'    <ProfileBody xsi:type="co:ProfileBody_Device_CANopen" {body} supportedLanguages="en">\n',
-        *_identity(described),
-        _FUNCTION,
-        "    </ProfileBody>\n  </co:ISO15745Profile>\n  <co:ISO15745Profile>\n",
-        _HEADER.format(identification="CANopen communication network profile", kind="CommunicationNetwork"),
-        f'    <ProfileBody xsi:type="co:ProfileBody_CommunicationNetwork_CANopen" {body}>\n',
-        "      <ApplicationLayers>\n",
-        *_objects(described),
-        "      </ApplicationLayers>\n",
-        *_transport(described),
-        "    </ProfileBody>\n  </co:ISO15745Profile>\n</co:ISO15745ProfileContainer>\n",
-    ]
-    return "".join(lines)
-
-
-def _identity(described: Description) -> list[str]:
-    identity = [described.entry(communication.IDENTITY, sub) for sub in (1, 2)]
-    vendor, product = (f"0x{int(entry.default):08X}" if entry is not None else "" for entry in identity)
-    texts = described.vendor_name, vendor, described.product_name, product
-    lines = ["      <co:DeviceIdentity>\n"]
-    for key, text in zip(_IDENTITY, texts, strict=False):
-        lines.append(f"        <co:{KEYS[key].xdd}>{quoteattr(text)[1:-1]}</co:{KEYS[key].xdd}>\n")
-    return [*lines, "      </co:DeviceIdentity>\n"]
-
-
-def _objects(described: Description) -> list[str]:
-    counts = " ".join(
-        f'{name[0].lower()}{name[1:]}="{len(indices)}"' for name, indices in _lists(described.objects).items()
-    )
-    lines = [f"        <co:CANopenObjectList {counts}>\n"]
-    for _, part in sorted(described.objects.items()):
-        lines += _object(part, described.node_id)
-    lines.append("        </co:CANopenObjectList>\n")
+    vendor, product = (described.entry(communication.IDENTITY, sub) for sub in (1, 2))
+    numbers = ["" if entry is None else f"0x{int(entry.default):08X}" for entry in (vendor, product)]
+    identity = zip(_IDENTITY, (described.vendor_name, numbers[0], described.product_name, numbers[1]), strict=False)
+    dummies = ""
     if described.dummies is not None:  # the data types that an RPDO may map as placeholders
         used = [(code, int(code in described.dummies)) for code in range(1, 8)]
-        entries = "".join(f'          <dummy entry="Dummy{code:04X}={flag}"/>\n' for code, flag in used)
-        lines.append(f"        <dummyUsage>\n{entries}        </dummyUsage>\n")
-    return lines
+        dummies = "".join(f'          <dummy entry="Dummy{code:04X}={flag}"/>\n' for code, flag in used)
+        dummies = f"        <dummyUsage>\n{dummies}        </dummyUsage>\n"
+    rates = [rate // _KBIT for rate in described.bit_rates or (1_000_000,)]
+    rpdos, tpdos = (sum(first <= index <= last for index in described.objects) for _, first, last, *_ in PDOS)
+    return _DOCUMENT.format(
+        body=f'{body} fileCreationDate="{_DATE}" fileVersion="1"',
+        identity="".join(f"        <co:{KEYS[k].xdd}>{quoteattr(t)[1:-1]}</co:{KEYS[k].xdd}>\n" for k, t in identity),
+        counts=" ".join(f'{k[0].lower()}{k[1:]}="{len(listed)}"' for k, listed in _lists(described.objects).items()),
+        objects="".join(line for _, o in sorted(described.objects.items()) for line in _object(o, described.node_id)),
+        dummies=dummies,
+        highest=max(rates),
+        rates="".join(f'            <supportedBaudRate value="{rate} Kbps"/>\n' for rate in rates),
+        features=f'granularity="8" nrOfRxPDO="{rpdos}" nrOfTxPDO="{tpdos}" bootUpSlave="true"',
+        lss=str(described.lss).lower(),
+    )
 
 
 def _object(part: Object, node_id: int) -> list[str]:
@@ -151,21 +159,6 @@ def _value(entry: Entry, value: Value | None, node_id: int) -> str | None:
     if entry.has_node_id and node_id and isinstance(value, int):
         return f"$NODEID+0x{value - node_id:X}"
     return value.hex().upper() if isinstance(value, bytes) else repr(value) if isinstance(value, float) else str(value)
-
-
-def _transport(described: Description) -> list[str]:
-    rates = described.bit_rates or (1_000_000,)
-    rpdos, tpdos = (sum(first <= index <= last for index in described.objects) for _, first, last, *_ in PDOS)
-    features = f'granularity="8" nrOfRxPDO="{rpdos}" nrOfTxPDO="{tpdos}" bootUpSlave="true"'
-    lss = str(described.lss).lower()
-    return [
-        "      <TransportLayers>\n        <PhysicalLayer>\n",
-        f'          <baudRate defaultValue="{max(rates) // _KBIT} Kbps">\n',
-        *(f'            <supportedBaudRate value="{rate // _KBIT} Kbps"/>\n' for rate in rates),
-        "          </baudRate>\n        </PhysicalLayer>\n      </TransportLayers>\n      <NetworkManagement>\n",
-        f'        <CANopenGeneralFeatures {features} layerSettingServiceSlave="{lss}"/>\n',
-        "      </NetworkManagement>\n",
-    ]
 
 
 # --- reading: the sections of an EDS or DCF, with the lines of the XDD; their reader checks them ---------------

@@ -192,20 +192,17 @@ class Drive(DeviceApplication):
     def _approach(self, target: float, speed: float, dt_s: float) -> None:
         """Follow a trapezoidal profile to ``target``, in parts: a step that came late would go far beyond it."""
         parts = min(max(math.ceil(dt_s / self.period_s), 1), _MOST_PARTS)
+        part_s, slow_down = dt_s / parts, max(self._get(PROFILE_DECELERATION), 1.0)
+        step = slow_down * part_s
         for _ in range(parts):
-            self._approach_in_part(target, speed, dt_s / parts)
-
-    def _approach_in_part(self, target: float, speed: float, dt_s: float) -> None:
-        left = target - self.position
-        slow_down = max(self._get(PROFILE_DECELERATION), 1.0)
-        # The velocity from which the rest of the way, less that of this step, is enough to stop.
-        step = slow_down * dt_s
-        fastest = step * (math.sqrt(0.25 + 2.0 * abs(left) / (step * dt_s)) - 0.5)
-        wanted = math.copysign(min(speed, fastest), left)
-        rate = self._get(PROFILE_ACCELERATION) if abs(wanted) > abs(self.velocity) else 4.0 * slow_down
-        self._run_at(wanted, max(rate, 1.0), dt_s)
-        if abs(target - self.position) < 0.5 and abs(self.velocity) <= 2.0 * step:
-            self.position, self.velocity = target, 0.0
+            left = target - self.position
+            # The velocity from which the rest of the way, less that of this step, is enough to stop.
+            fastest = step * (math.sqrt(0.25 + 2.0 * abs(left) / (step * part_s)) - 0.5)
+            wanted = math.copysign(min(speed, fastest), left)
+            rate = self._get(PROFILE_ACCELERATION) if abs(wanted) > abs(self.velocity) else 4.0 * slow_down
+            self._run_at(wanted, max(rate, 1.0), part_s)
+            if abs(target - self.position) < 0.5 and abs(self.velocity) <= 2.0 * step:
+                self.position, self.velocity = target, 0.0
 
     def _arrived(self) -> bool:
         return self.velocity == 0.0 and self.position == self._target

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 
 from canopen_device import types
 from canopen_device.core import codes, communication, emcy
@@ -182,9 +183,7 @@ class SimulatedDevice:
 
     def _writer(self, index: int) -> Callable[[int, object], int]:
         def write(sub: int, value: object) -> int:
-            entry = self.description.entry(index, sub)
-            if entry is None:
-                return codes.NO_SUB
+            entry = self.description.objects[index].entries[sub]
             abort = self.application.on_write(entry, python_value(entry.letter, value))  # type: ignore[arg-type]
             if not abort and self.core.od.values[index << 8 | sub] != value:
                 self._announce(index, sub)
@@ -237,7 +236,7 @@ class Faults:
         self._core = core
         self._active: dict[str, dict[str, float]] = {}
         self._waiting: deque[tuple[int, Frame]] = deque()
-        self._planned: list[tuple[int, str, dict[str, float] | None]] = []  # time, kind, parameters of a start
+        self._planned: list[tuple[int, Callable[[], None]]] = []  # time, and the start or end
         self._origin_us: int | None = None
 
     def plan(self, kind: str, at_s: float = 0.0, for_s: float | None = None, **parameters: float) -> None:
@@ -247,16 +246,15 @@ class Faults:
         if at_s < 0.0 or (for_s is not None and for_s <= 0.0):
             shown = f"at_s {at_s:g}, for_s {for_s}"
             raise InputError(f"fault {kind}: {shown}: allowed are at_s from 0 on, for_s above 0")
-        self._planned.append((int(1e6 * at_s), kind, parameters))
+        self._planned.append((int(1e6 * at_s), partial(self.start, kind, **parameters)))
         if for_s is not None:
-            self._planned.append((int(1e6 * (at_s + for_s)), kind, None))
+            self._planned.append((int(1e6 * (at_s + for_s)), partial(self.end, kind)))
         self._planned.sort(key=lambda event: event[0])
 
     def start(self, kind: str, **parameters: float) -> None:
         """Start a fault. Raises InputError."""
-        self._active[kind] = checked(kind, parameters)
+        given = self._active[kind] = checked(kind, parameters)
         if kind == EMCY:
-            given = self._active[kind]
             self._core.emcy.raise_error(int(given["code"]), int(given["register"]))
 
     def end(self, kind: str) -> None:
@@ -273,11 +271,7 @@ class Faults:
         if self._origin_us is None:
             self._origin_us = now_us
         while self._planned and self._origin_us + self._planned[0][0] <= now_us:
-            _, kind, parameters = self._planned.pop(0)
-            if parameters is None:
-                self.end(kind)
-            else:
-                self.start(kind, **parameters)
+            self._planned.pop(0)[1]()
 
     def received(self, frames: Iterable[Frame]) -> Iterable[Frame]:
         """Return the frames that the device hears."""

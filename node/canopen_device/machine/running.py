@@ -136,9 +136,7 @@ def simulated_devices(devices: Sequence[SimulatedDevice], bus: Any = None) -> It
     try:
         with loop.running(devices, PythonCanPort(connection)) as thread:
             limit_s = time.monotonic() + _BOOT_S
-            while not all(device.now_s > 0.0 for device in devices):
-                if not thread.is_alive() or time.monotonic() > limit_s:
-                    break
+            while thread.is_alive() and time.monotonic() < limit_s and any(device.now_s <= 0.0 for device in devices):
                 time.sleep(0.001)
             yield devices
     finally:

@@ -6,6 +6,7 @@ import bisect
 import csv
 import math
 import random
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -24,13 +25,9 @@ class Signal:
 
     period_s: ClassVar[float] = 0.01
 
-    def at(self, t_s: float, _device: SimulatedDevice) -> float:
-        """The value ``t_s`` seconds after the start of the device."""
+    def _at(self, t_s: float, _device: SimulatedDevice) -> float:
+        """Return the value ``t_s`` seconds after the start of the device."""
         raise NotImplementedError
-
-    def extremes(self) -> tuple[float, float] | None:
-        """The lowest and highest value, None where the device limits it."""
-        return None
 
 
 @dataclass
@@ -42,15 +39,10 @@ class Ramp(Signal):
     duration_s: float = 1.0
     repeats: bool = False
 
-    def at(self, t_s: float, _device: SimulatedDevice) -> float:
-        """See the class."""
+    def _at(self, t_s: float, _device: SimulatedDevice) -> float:
         part = t_s / self.duration_s
         part = part % 1.0 if self.repeats else min(part, 1.0)
         return self.start + (self.end - self.start) * part
-
-    def extremes(self) -> tuple[float, float]:
-        """See ``Signal``."""
-        return min(self.start, self.end), max(self.start, self.end)
 
 
 @dataclass
@@ -62,13 +54,8 @@ class Sine(Signal):
     cycle_s: float = 1.0
     phase_deg: float = 0.0
 
-    def at(self, t_s: float, _device: SimulatedDevice) -> float:
-        """See the class."""
+    def _at(self, t_s: float, _device: SimulatedDevice) -> float:
         return self.offset + self.amplitude * math.sin(math.tau * (t_s / self.cycle_s + self.phase_deg / 360.0))
-
-    def extremes(self) -> tuple[float, float]:
-        """See ``Signal``."""
-        return self.offset - abs(self.amplitude), self.offset + abs(self.amplitude)
 
 
 @dataclass
@@ -81,16 +68,13 @@ class RandomWalk(Signal):
     high: float = 100.0
     every_s: float = 0.1
     seed: int = 0
-    _value: float = field(init=False, default=math.nan, repr=False)
+    _value: float = field(init=False, repr=False)
     _steps: int = field(init=False, default=0, repr=False)
 
     def __post_init__(self) -> None:
-        self._random = random.Random(self.seed)
+        self._random, self._value = random.Random(self.seed), self.start
 
-    def at(self, t_s: float, _device: SimulatedDevice) -> float:
-        """See the class."""
-        if math.isnan(self._value):
-            self._value = self.start
+    def _at(self, t_s: float, _device: SimulatedDevice) -> float:
         while self._steps < int(t_s / self.every_s):
             self._steps += 1
             moved = self._value + self._random.gauss(0.0, self.step)
@@ -101,10 +85,6 @@ class RandomWalk(Signal):
             self._value = min(max(moved, self.low), self.high)
         return self._value
 
-    def extremes(self) -> tuple[float, float]:
-        """See ``Signal``."""
-        return self.low, self.high
-
 
 @dataclass
 class Recorded(Signal):
@@ -114,15 +94,10 @@ class Recorded(Signal):
     values: list[float] = field(default_factory=list)
     repeats: bool = False
 
-    def at(self, t_s: float, _device: SimulatedDevice) -> float:
-        """See the class."""
+    def _at(self, t_s: float, _device: SimulatedDevice) -> float:
         if self.repeats and self.t_s[-1] > 0.0:
             t_s %= self.t_s[-1]
         return self.values[max(0, bisect.bisect_right(self.t_s, t_s) - 1)]
-
-    def extremes(self) -> tuple[float, float]:
-        """See ``Signal``."""
-        return min(self.values), max(self.values)
 
 
 @dataclass
@@ -136,8 +111,7 @@ class Follows(Signal):
     _value: float = field(init=False, default=math.nan, repr=False)
     _t_s: float = field(init=False, default=0.0, repr=False)
 
-    def at(self, t_s: float, _device: SimulatedDevice) -> float:
-        """See the class."""
+    def _at(self, t_s: float, _device: SimulatedDevice) -> float:
         source = _device[self.key]
         if not isinstance(source, int | float):
             raise InputError(f"follows {self.key!r}: {source!r} is no number")
@@ -150,6 +124,20 @@ class Follows(Signal):
         return self._value
 
 
+def _extremes(signal: Signal) -> Sequence[float]:
+    """Return the lowest and the highest value, and perhaps others; nothing where the device limits it."""
+    match signal:
+        case Ramp():
+            return signal.start, signal.end
+        case Sine():
+            return signal.offset - abs(signal.amplitude), signal.offset + abs(signal.amplitude)
+        case RandomWalk():
+            return signal.low, signal.high
+        case Recorded():
+            return signal.values
+    return ()
+
+
 class Driver:
     """One entry of a device and the signal that sets it. Raises InputError where they do not fit."""
 
@@ -159,18 +147,18 @@ class Driver:
             raise InputError(f"{entry.place} {entry.name!r} is {entry.type.name}: a signal sets numbers only")
         low, high = entry.type.limits or (-math.inf, math.inf)
         self._low, self._high = low, high
-        ends = signal.extremes()
-        if ends is not None and not (low <= ends[0] and ends[1] <= high):
+        ends = _extremes(signal)
+        if ends and not (low <= min(ends) and max(ends) <= high):
             raise InputError(
-                f"{entry.place} {entry.name!r}: the signal runs from {ends[0]:g} to {ends[1]:g}; "
+                f"{entry.place} {entry.name!r}: the signal runs from {min(ends):g} to {max(ends):g}; "
                 f"{entry.type.name} holds {low} to {high}"
             )
         if isinstance(signal, Follows):
-            signal.at(0.0, device)
+            signal._at(0.0, device)
 
     def apply(self) -> None:
         """Set the entry to the present value of the signal; an integer has no NaN, and keeps its value."""
-        number = min(max(self.signal.at(self._device.now_s, self._device), self._low), self._high)
+        number = min(max(self.signal._at(self._device.now_s, self._device), self._low), self._high)
         is_integer = self.entry.type.python is int
         if is_integer and math.isnan(number):
             return

@@ -99,8 +99,16 @@ def access_text(entry: Entry[Any]) -> str:
 
 
 def _text(n: int, simulated: bool, converter: Converter, programs: bool, node_id: int | None, values: Values) -> str:
+    lines = _general(n, simulated, converter, node_id)
+    lists: dict[str, list[int]] = {"Mandatory": [], "Optional": [], "Manufacturer": []}
     declared = objects(n, simulated, converter, programs)
-    lines = _general(n, simulated, converter, node_id) + _object_lists([each.index for each in declared])
+    for index in [each.index for each in declared]:
+        own = communication.FIRST_MANUFACTURER <= index <= communication.LAST_MANUFACTURER
+        name = "Mandatory" if index in communication.MANDATORY else "Manufacturer" if own else "Optional"
+        lists[name].append(index)
+    for name, listed in lists.items():
+        lines += [f"[{name}Objects]", f"SupportedObjects={len(listed)}"]
+        lines += [*(f"{k}=0x{index:04X}" for k, index in enumerate(listed, 1)), ""]
     for each in declared:
         if each.code == table.VAR:
             lines += [f"[{each.index:04X}]", *_entry(each.entries[0], values)]
@@ -145,17 +153,6 @@ def _general(n: int, simulated: bool, converter: Converter, node_id: int | None)
         "Line3=Unknown is 0x8000 in INTEGER16, 0x80000000 in INTEGER32, 0xFFFF in UNSIGNED16, NaN in REAL32.",
         "",
     ]
-
-
-def _object_lists(indices: list[int]) -> list[str]:
-    manufacturer = [i for i in indices if communication.FIRST_MANUFACTURER <= i <= communication.LAST_MANUFACTURER]
-    mandatory = [i for i in indices if i in communication.MANDATORY]
-    optional = [i for i in indices if i not in communication.MANDATORY and i not in manufacturer]
-    lines: list[str] = []
-    for name, listed in (("Mandatory", mandatory), ("Optional", optional), ("Manufacturer", manufacturer)):
-        lines += [f"[{name}Objects]", f"SupportedObjects={len(listed)}"]
-        lines += [*(f"{k}=0x{index:04X}" for k, index in enumerate(listed, 1)), ""]
-    return lines
 
 
 def _entry(entry: Entry[Any], values: Values) -> list[str]:

@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import groupby
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, cast
 
 from canopen_device import types
@@ -213,10 +214,6 @@ def _named(text: str, known: Entries, n: int) -> Entry[Any]:
 
 
 def _ranges(subs: list[int], form: str) -> str:
-    parts: list[list[int]] = []
-    for sub in subs:
-        if parts and sub == parts[-1][1] + 1:
-            parts[-1][1] = sub
-        else:
-            parts.append([sub, sub])
-    return ", ".join(f"{a:{form}}" if a == b else f"{a:{form}}-{b:{form}}" for a, b in parts)
+    # Within a run of consecutive numbers each is as far beyond its place as the others.
+    runs = [[sub for _, sub in run] for _, run in groupby(enumerate(subs), lambda pair: pair[1] - pair[0])]
+    return ", ".join(f"{run[0]:{form}}" + (f"-{run[-1]:{form}}" if len(run) > 1 else "") for run in runs)

@@ -27,20 +27,16 @@ from tipforce.dictionary.entries import Array, Entry
 '''
 
 
-def constant_name(slug: str) -> str:
-    """The constant of a dotted name: CALIBRATION_MATRIX of ``calibration.matrix``."""
-    return slug.replace(".", "_").upper()
-
-
 def accessors_text() -> str:
     """The module ``objects.py`` for its constants: an Entry, or an Array where several sub-indices share a name."""
     named = set(re.findall(r"^(\w+): Final", Path(__file__).with_name("objects.py").read_text("ascii"), re.M))
     lines = {"": _HEADER}
     for each in objects(table.MIN_GAUGES, True, programs=True):
         for entry in each.entries:
-            if constant_name(entry.stem) in named:
+            name = entry.stem.replace(".", "_").upper()
+            if name in named:
                 kind, place = ("Array", "") if entry.is_counted else ("Entry", f"{entry.sub}, ")
-                line = f"{constant_name(entry.stem)}: Final = {kind}[{types.data_type(entry.type).python.__name__}]("
+                line = f"{name}: Final = {kind}[{types.data_type(entry.type).python.__name__}]("
                 line += f'0x{entry.index:04X}, {place}"{entry.type}", "{entry.stem}", "{entry.access}", "{entry.unit}")'
                 lines.setdefault(entry.stem, line)
     return "\n".join(lines.values()) + "\n"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import chain, count
 from typing import Any
 
 from canopen_device import types
@@ -17,6 +18,10 @@ MAX_BITS = 64
 FIRST_OBJECT = communication.FIRST  # below are the data types: mapped, they are gaps (CiA 301, 7.4.7, dummy mapping)
 
 _UNCERTAINTIES = (("u_P", "N"), ("u_phi", "degree"), ("u_theta", "degree"))
+_MEASURED = {
+    indices.TEMPERATURE: ("temperature", 0.01, "degC", "temperature of the fingertip"),
+    indices.U_P: ("u_P", 0.001, "N", "standard uncertainty of P"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,33 +128,28 @@ def _signals_of(entry: Entry[Any], start: int, n: int) -> list[Signal]:
         bits = [(k, f"SG{k + 1}_fault", f"gauge {k + 1} is saturated or left out") for k in range(n)]
         bits += [(k, f"fault_{name}", text) for k, name, text in table.FAULT_BITS]
         return [_flag(entry, start, *bit) for bit in bits]
-    return [_measurement(entry, start, n) or _plain(entry, start, n)]
+    measured = _meaning(entry, n)
+    return [_plain(entry, start, n) if measured is None else _scaled(entry, start, *measured)]
 
 
 def _flag(entry: Entry[Any], start: int, bit: int, name: str, description: str) -> Signal:
     return Signal(name, start + bit, 1, False, 1, "", 0, 1, None, description, entry.index, entry.sub)
 
 
-def _measurement(entry: Entry[Any], start: int, n: int) -> Signal | None:
+def _meaning(entry: Entry[Any], n: int) -> tuple[str, float, str, str] | None:
+    """Name, resolution, unit and description of a measured value."""
     if entry.index in table.forms(indices.PROCESS_VALUE):
         symbol, what, _, digits, _, unit, _, _ = table.channels(n)[entry.sub - 1]
-        limit = 180.0 if unit == "degree" else None
-        return _scaled(entry, start, symbol, 10.0**-digits, unit, what, limit)
+        return symbol, 10.0**-digits, unit, what
     if entry.index in table.forms(indices.FIELD_VALUE):
-        return _scaled(entry, start, f"SG{entry.sub}_counts", 1.0, "counts", f"field value of gauge {entry.sub}")
+        return f"SG{entry.sub}_counts", 1.0, "counts", f"field value of gauge {entry.sub}"
     if entry.index == indices.UNCERTAINTY:
         name, unit = _UNCERTAINTIES[entry.sub - 1]
-        return _scaled(entry, start, name, 1.0, unit, f"standard uncertainty of {name[2:]}")
-    if entry.index == indices.TEMPERATURE:
-        return _scaled(entry, start, "temperature", 0.01, "degC", "temperature of the fingertip")
-    if entry.index == indices.U_P:
-        return _scaled(entry, start, "u_P", 0.001, "N", "standard uncertainty of P")
-    return None
+        return name, 1.0, unit, f"standard uncertainty of {name[2:]}"
+    return _MEASURED.get(entry.index)
 
 
-def _scaled(
-    entry: Entry[Any], start: int, name: str, scale: float, unit: str, what: str, limit: float | None = None
-) -> Signal:
+def _scaled(entry: Entry[Any], start: int, name: str, scale: float, unit: str, what: str) -> Signal:
     kind = types.data_type(entry.type)
     if kind.limits is None:  # REAL32
         low, high = (0.0 if entry.index == indices.UNCERTAINTY else -3.4e38), 3.4e38
@@ -159,8 +159,8 @@ def _scaled(
         unknown = least or top
         low, high = (-top * scale, top * scale) if least else (0.0, (top - 1) * scale)
         note = f"raw {unknown} means unknown"
-    if limit is not None:
-        low, high = -limit, limit
+    if unit == "degree" and entry.index != indices.UNCERTAINTY:
+        low, high = -180.0, 180.0
     text, signed = f"{what}, in {unit}; {note}", kind.letter in "hif"
     low, high = (float(f"{value:.10g}") for value in (low, high))  # 3276.7000000000003, of a product, becomes 3276.7
     return Signal(
@@ -184,15 +184,10 @@ def _plain(entry: Entry[Any], start: int, n: int) -> Signal:
 
 def _unique(signals: list[Signal]) -> tuple[Signal, ...]:
     """Names that occur once: P mapped as INTEGER16 and as REAL32 becomes P and P_6130."""
-    taken: set[str] = set()
-    unique = []
+    unique: dict[str, Signal] = {}
     for signal in signals:
-        name = signal.name
-        if name in taken:
-            name = f"{signal.name}_{signal.index:04X}"
-        count = 2
-        while name in taken:
-            name, count = f"{signal.name}_{signal.index:04X}_{count}", count + 1
-        taken.add(name)
-        unique.append(signal if name == signal.name else replace(signal, name=name))
-    return tuple(unique)
+        longer = f"{signal.name}_{signal.index:04X}"
+        names = chain((signal.name, longer), (f"{longer}_{number}" for number in count(2)))
+        name = next(name for name in names if name not in unique)
+        unique[name] = replace(signal, name=name)
+    return tuple(unique.values())

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     from canopen_device.core.object_dictionary import ObjectDictionary, Value
 
-    from .application import Fingertip
     from .calibration import Active
+    from .node import Fingertip
 
 MAX_I16, MAX_I32 = 0x7FFF, 0x7FFFFFFF
 NOT_VALID, OVERLOAD_HIGH, OVERLOAD_LOW = 1, 3, 5  # 6150h

@@ -9,7 +9,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from .application import Fingertip
+    from .node import Fingertip
     from .source import Reading
 
 MOVING_AVERAGE, REPEATING_AVERAGE, FIRST_ORDER = 1, 2, 100  # 61A0h

@@ -9,7 +9,7 @@ from tipforce.sensor.contact.scalar_condition import dot
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from .calibration import Active, Check, Covariance
+    from .calibration import Active, Check, Covariance, Solver
 
 RELEASE = 0.95  # of the overload force: an overload ends below
 UNSTATED_KELVIN = 10.0  # standard uncertainty of a temperature that neither 2122h nor 2112h:3 and 4 tell
@@ -44,21 +44,28 @@ class Judgement:
         self._lost = lost
         self._faults: "list[tuple[float, float]]" = []
         self._extra: "list[float] | None" = None
-        self.solver, check = active.left.get(lost) or active.without(lost)
-        if self.solver is None:
+        solver, check = active.left.get(lost) or active.without(lost)
+        if solver is not None and check is not None:
+            solver = self._judge_gauges(check, solver)
+        self.solver = solver
+        if solver is None:
             return
-        if check is not None:
-            self._judge_gauges(check)
-        if self.solver is not None:
-            self._judge_force(overloaded)
+        self.force = active.force(solver[0], microstrains, self._known_kelvin)
+        calibrated, overload = active.forces
+        if calibrated > 0.0 or overload > 0.0:
+            P = magnitude(self.force)
+            if calibrated > 0.0 and P > calibrated:
+                self.bits |= _BEYOND
+            if overload > 0.0 and P > (RELEASE * overload if overloaded else overload):
+                self.bits |= _OVERLOAD
 
     @property
     def strains(self) -> "list[float]":
         """Of the gauges, offsets and temperature taken off."""
         return self._active.strains(self._microstrains, self._known_kelvin)
 
-    def _judge_gauges(self, check: "Check") -> None:
-        """Set bit 12 where the gauges contradict each other, and leave out the one that explains it."""
+    def _judge_gauges(self, check: "Check", whole: "Solver") -> "Solver | None":
+        """Set bit 12 where the gauges contradict each other, leave out the one that explains it; return what solves."""
         active = self._active
         model, strains = active.model, self.strains
         if model > 0.0:
@@ -66,30 +73,18 @@ class Judgement:
         bits, faults = _judged(check, strains, self._extra)
         if bits < 0:
             self._faults = faults
-            return
+            return whole
         self.bits |= _CONTRADICTION
         # One bit alone; of four gauges the three that would be left cannot be checked.
         gauge = bits if bits & (bits - 1) == 0 and len(check[0]) > 1 else 0
         solver, rest = active.without(self._lost | gauge) if gauge else (None, None)
-        if solver is not None and rest is not None:
-            bits, faults = _judged(rest, strains, self._extra)
-        if rest is None or bits >= 0:
-            solver = None
-        self.solver = solver
-        if solver is not None:
-            self.left_out = gauge
-            self._faults = faults
-
-    def _judge_force(self, overloaded: bool) -> None:
-        assert self.solver is not None
-        self.force = self._active.force(self.solver[0], self._microstrains, self._known_kelvin)
-        calibrated, overload = self._active.forces
-        if calibrated > 0.0 or overload > 0.0:
-            P = magnitude(self.force)
-            if calibrated > 0.0 and P > calibrated:
-                self.bits |= _BEYOND
-            if overload > 0.0 and P > (RELEASE * overload if overloaded else overload):
-                self.bits |= _OVERLOAD
+        if solver is None or rest is None:
+            return None
+        bits, faults = _judged(rest, strains, self._extra)
+        if bits >= 0:
+            return None
+        self.left_out, self._faults = gauge, faults
+        return solver
 
     def covariance(self) -> "Covariance":
         """Covariance of F, N^2: gauge noise, model, a temperature that is not compensated, a fault below the limit."""

@@ -44,8 +44,7 @@ class Interrupts:
                     if index in _CHANNEL_VALUES:
                         low, high = [self._device.od.default(limit, sub) for limit in _LIMITS[:2]]
                         lower, upper, _ = [self._setting(limit, sub) for limit in _LIMITS]
-                        delta = self._setting(indices.INTERRUPT_DELTA, sub)
-                        if delta > 0.0 or lower > low or upper < high:  # type: ignore[operator]
+                        if self._setting(indices.INTERRUPT_DELTA, sub) > 0.0 or lower > low or upper < high:  # type: ignore[operator]
                             self.watched.setdefault(sub, []).append(number)
 
     def check(self) -> None:
@@ -152,13 +151,10 @@ class Reports:
         if self._next_us - FAULTS_PERIOD_US >= now_us:
             return  # one is due already
         due_us = max(now_us, self._next_us)
-        asked = False
         for number, transmission, keys in self._device.tpdos.mapped():
             if transmission >= EVENT_DRIVEN and (indices.FAULTS, 0) in keys:
                 self._device.tpdos.request(number, due_us)
-                asked = True
-        if asked:
-            self._next_us = due_us + FAULTS_PERIOD_US
+                self._next_us = due_us + FAULTS_PERIOD_US
 
 
 def _error(bit: int, sample: "Sample") -> "tuple[int, int] | None":

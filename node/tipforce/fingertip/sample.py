@@ -103,11 +103,7 @@ class Sample:
         self._early = -1 if self.faults or stale or active is None or reading is None else 0
 
     def _saturated(self) -> int:
-        bits = 0
-        for k in range(len(self.overloads)):
-            if self.overloads[k]:
-                bits |= 1 << k
-        return bits
+        return sum([1 << k for k, over in enumerate(self.overloads) if over])
 
     def _limit(self, limits: "list[float]", scaling: "list[tuple[float, float]]") -> None:
         """A reading (before any filter) at 2113h or beyond is at the converter's end too."""

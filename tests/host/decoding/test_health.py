@@ -8,7 +8,7 @@ import pytest
 
 from fingertip.finger import PUSH, Finger
 from fingertip.test_judgement import drift, redundant
-from tipforce.fingertip.application import Fingertip
+from tipforce.fingertip.node import Fingertip
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.decoding.health import ALL, TOLD_BY_EMCY, Health, of_emcy

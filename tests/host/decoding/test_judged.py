@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from fingertip.finger import PUSH, finger, record
-from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.judgement import Judgement
+from tipforce.fingertip.node import Fingertip
 from tipforce.fingertip.sample import Sample
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding import judged

@@ -12,8 +12,7 @@ import numpy as np
 from canopen_device.core.node import Device
 from canopen_device.running.store import MemoryStore
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.fingertip.application import Fingertip
-from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.node import Fingertip, fingertip_node
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.samples import reasons
 from tipforce.samples.contact import Contact

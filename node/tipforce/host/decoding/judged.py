@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.dictionary import table
-from tipforce.fingertip.application import FROZEN_READINGS
 from tipforce.fingertip.calibration import Active
 from tipforce.fingertip.judgement import RELEASE, difference
+from tipforce.fingertip.node import FROZEN_READINGS
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.samples import reasons
 from tipforce.samples.reasons import BEYOND_CALIBRATED, CONTRADICTION, OVERLOAD, TEMPERATURE

@@ -18,7 +18,7 @@ import numpy.typing as npt
 import tipforce
 from canopen_device.core import codes
 from tipforce.arrays import BoolArray, FloatArray
-from tipforce.fingertip.application import Fingertip
+from tipforce.fingertip.node import Fingertip
 from tipforce.host.configuration.calibration import Calibration, read_calibration
 from tipforce.host.decoding.contact_columns import FLAGS, ContactColumns
 from tipforce.host.decoding.sample_table import Table, computed, flag
