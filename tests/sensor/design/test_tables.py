@@ -102,12 +102,6 @@ def test_rounding_ranges_exclude_3_50_for_cases_i_and_ii() -> None:
         assert conditions.max() <= found[case].high
 
 
-def test_shared_gauges_disagree_by_up_to_ten_per_cent() -> None:
-    apart = tables.shared_gauge_disagreement()
-    assert apart["U"] == pytest.approx(0.097, abs=5e-4)
-    assert max(apart.values()) == apart["U"]
-
-
 def test_no_common_gauge_shift_gives_the_measured_condition_numbers() -> None:
     measured = {case: tables.rounding_range(MEASURED_MATRICES[case]).printed for case in CASES}
     shifts_m, miss = tables.nearest_common_shifts(FABRICATED, measured)

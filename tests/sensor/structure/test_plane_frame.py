@@ -158,9 +158,6 @@ def test_a_gauge_inside_a_joint_of_finite_size_is_refused() -> None:
     with pytest.raises(InputError, match="between the beam's ends"):
         frame.strain_matrix([GaugePosition("H", "left", 0.1e-3)])
     assert frame.strain_matrix(["K_H"]).shape == (1, 3)
-
-
-def test_bodies_that_floating_point_cannot_hold() -> None:
     with pytest.raises(InputError, match="a finite joint must be narrower"):
         Frame(replace(FABRICATED, h2_m=0.04), FrameModel(finite_joint=True))
 
@@ -235,24 +232,17 @@ def test_torsion_constants_of_textbooks(width: float, J_factor: float, W_factor:
         off_axis.torsion_constants(1.0, 1.1)
 
 
-def test_misaligned_gauge_sees_the_shear_of_torsion_only_where_warping_is_free() -> None:
-    free, held = (
-        off_axis.apparent_force(FABRICATED, "I", Z_LOADS, misalignment_rad=radians(1.0), warping_held=held).norm_newtons
-        for held in (False, True)
-    )
-    assert free == pytest.approx(0.0456, abs=5e-5)
-    assert held == pytest.approx(0.0012, abs=5e-5)
-
-
-def test_offset_gauge_sees_held_warping() -> None:
-    free, held = (
-        off_axis.apparent_force(FABRICATED, "I", Z_LOADS, lateral_offset_m=1e-3, warping_held=held).norm_newtons
-        for held in (False, True)
-    )
-    assert free == pytest.approx(0.0300, abs=5e-5)
-    assert held == pytest.approx(0.5705, abs=5e-4)
-    tenth = off_axis.apparent_force(FABRICATED, "I", Z_LOADS, lateral_offset_m=1e-4, warping_held=True).norm_newtons
-    assert tenth == pytest.approx(0.1 * held, rel=1e-3)
+@pytest.mark.parametrize(
+    ("error", "free", "held"),
+    [({"misalignment_rad": radians(1.0)}, 0.0456, 0.0012), ({"lateral_offset_m": 1e-3}, 0.0300, 0.5705),
+     ({"lateral_offset_m": 1e-4}, 0.0030, 0.05705)],
+)  # fmt: skip
+def test_a_misaligned_gauge_sees_free_warping_and_an_offset_one_held(
+    error: dict[str, float], free: float, held: float
+) -> None:
+    for warping_held, expected in ((False, free), (True, held)):
+        found = off_axis.apparent_force(FABRICATED, "I", Z_LOADS, warping_held=warping_held, **error)
+        assert found.norm_newtons == pytest.approx(expected, rel=1e-3, abs=5e-5)
 
 
 def test_free_middle_of_a_long_strip_is_st_venant() -> None:
