@@ -15,7 +15,7 @@ import pytest
 from tipforce.sensor.structure.plane_frame import worst_stress
 from tipforce.sensor.structure.strain import gauge_matrix
 from tipforce.sources.layout_file import read_layout
-from tipforce_lab.design.merit import LoadSet, merit
+from tipforce_lab.design.merit import merit
 from tipforce_lab.design.other_bodies import condition_range
 from tipforce_tools.cli.main import main
 from tools.rig import Printed
@@ -216,7 +216,7 @@ def test_the_layout_that_it_writes(tmp_path: Path, optimised: Optimised) -> None
     assert text.startswith("# tipforce design optimise --objective theta --gauges 4 --seed 0\n")
     geometry, gauges = read_layout(str(path))
     assert geometry.a_m == best["a_m"]
-    got = merit(gauge_matrix(geometry, gauges), 1.0, LoadSet(3.0))
+    got = merit(gauge_matrix(geometry, gauges), 1.0, 3.0)
     assert got.u_theta_deg == pytest.approx(best["u_theta_deg"], rel=1e-12)
     assert got.condition_number == pytest.approx(best["condition_number"], rel=1e-12)
     assert worst_stress(geometry, 3.0) == pytest.approx(best["worst_stress_pascals"])

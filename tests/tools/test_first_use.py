@@ -230,7 +230,8 @@ def simulated_errors(calibration: Calibration, applied: FloatArray, draws: int, 
     exact = 1e6 * strain_matrix(FABRICATED, case) @ force_vector(P, phi, theta) + offset
     noisy = exact + rng.normal(0.0, job.NOISE_MICROSTRAIN, (draws, 3))
     counted = np.round(noisy / job.COUNT_MICROSTRAIN) * job.COUNT_MICROSTRAIN
-    _, found = contact_model.estimate(calibration.C, counted * 1e-6, offset * 1e-6, pull=calibration.pull)
+    F = contact_model.force_from_strain(calibration.C, counted * 1e-6, offset * 1e-6)
+    found = contact_model.contacts(F, pull=calibration.pull)
     values = np.column_stack([found.P_newtons, np.degrees(found.phi_rad), np.degrees(found.theta_rad)])
     steps = 2 * job.HALF_STEP
     errors: FloatArray = np.round(values / steps) * steps - applied

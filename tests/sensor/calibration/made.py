@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tipforce.arrays import IntArray
 from tipforce.sensor.calibration.data import Readings
 from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate
 from tipforce.sensor.structure.layouts import layout
@@ -18,3 +19,8 @@ def readings(sim: Simulated, **changes: object) -> Readings:
 
 def simulated(seed: int, faults: Faults = CLEAN, gauges: tuple[str, ...] = layout("I")) -> Simulated:
     return simulate(gauges, np.random.default_rng(seed), faults)
+
+
+def some(sim: Simulated, rows: IntArray | list[int]) -> Readings:
+    """Rows of a simulated calibration, without times."""
+    return Readings(sim.strain[rows], sim.P_newtons[rows], sim.phi_rad[rows], sim.theta_rad[rows])

@@ -150,7 +150,7 @@ def test_weights_in_one_groove_do_not_average_its_angle_out() -> None:
 def test_a_curved_gauge_is_found_with_its_term_and_a_straight_one_is_not() -> None:
     sim = simulated(3)
     assert fit_calibration(readings(sim)).nonlinearity is not None
-    elastic = sim.clean_strain - sim.true_offset_strain
+    elastic = force_vector(sim.P_newtons, sim.phi_rad, sim.theta_rad) @ sim.true_A.T
     for odd, bend in ((False, elastic**2), (True, elastic * np.abs(elastic))):
         found = fit_calibration(readings(sim, strain=sim.strain + 100.0 * bend), Model(loss="none")).nonlinearity
         assert found is not None
@@ -166,7 +166,8 @@ def test_temperature_coefficients_are_found_where_the_rows_show_them() -> None:
     sim, rng = simulated(5), np.random.default_rng(5)
     T = rng.uniform(15.0, 35.0, len(sim.strain))
     change = (T - np.mean(T))[:, np.newaxis]
-    elastic, per_K = sim.clean_strain - sim.true_offset_strain, np.array([2e-6, -3e-6, 1e-6])
+    elastic = force_vector(sim.P_newtons, sim.phi_rad, sim.theta_rad) @ sim.true_A.T
+    per_K = np.array([2e-6, -3e-6, 1e-6])
     warm = sim.strain + elastic * 5e-4 * change + per_K * change
     fit, model, scores = best_fit(readings(sim, strain=warm, temperature_degC=T), Model())
     assert model.temperature

@@ -47,22 +47,11 @@ def test_first_order_is_the_derivative(pull: bool) -> None:
         theta, delta = rng.uniform(-pi, pi), rng.uniform(-1.2, 1.2)
         F = force_vector(1.7, theta + delta + (0.0 if pull else pi), theta)
         above, below = contacts(F + h * np.eye(3), pull=pull), contacts(F - h * np.eye(3), pull=pull)
-        J = np.array(
-            [
-                (above.P_newtons - below.P_newtons) / (2 * h),
-                wrapped(above.phi_rad - below.phi_rad) / (2 * h),
-                wrapped(above.theta_rad - below.theta_rad) / (2 * h),
-            ]
-        )
+        angles = (wrapped(above.phi_rad - below.phi_rad), wrapped(above.theta_rad - below.theta_rad))
+        J = np.array([above.P_newtons - below.P_newtons, *angles]) / (2 * h)
         covariance = 1e-18 * random_covariance(rng)
         expected = np.sqrt(np.diag(J @ covariance @ J.T))
         np.testing.assert_allclose(standard_uncertainties(F, covariance, pull=pull), expected, rtol=1e-6)
-
-
-def test_at_tangency_the_uncertainty_falls_with_the_square_root_of_the_noise() -> None:
-    F = np.array([0.6, 1.0, 0.8])
-    for snr in (1e2, 1e4, 1e8, 1e12):
-        assert 1.0 < standard_uncertainties(F, np.eye(3) / snr**2, pull=False)[2] * sqrt(snr) < 1.3
 
 
 def test_magnitude_is_biased_by_half_the_variance() -> None:
@@ -84,19 +73,11 @@ def test_no_load_has_the_uncertainty_of_its_worst_direction() -> None:
 
 def test_the_uncertainty_of_the_magnitude_alone_is_the_same_number() -> None:
     rng = np.random.default_rng(9)
-    forces = [
-        (0.0, 0.0, 0.0),
-        (0.0, 1.0, 0.0),
-        (nan, 1.0, 0.0),
-        (1.0, inf, 0.0),
-        (1e-300, 1e-300, 0.0),
-        (1e300, 0.0, 1.0),
-    ]
-    forces += [tuple(row) for row in (rng.normal(size=(200, 3)) * 10.0 ** rng.uniform(-6, 3, (200, 1))).tolist()]
-    for F in forces:
+    odd = [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [nan, 1.0, 0.0], [1.0, inf, 0.0], [1e-300, 1e-300, 0.0], [1e300, 0.0, 1.0]]
+    for F1, F2, F3 in odd + (rng.normal(size=(200, 3)) * 10.0 ** rng.uniform(-6, 3, (200, 1))).tolist():
         for covariance in (random_covariance(rng), np.zeros((3, 3)), 1e-300 * random_covariance(rng)):
-            found = scalar.magnitude_uncertainty(*F, upper(covariance))
-            expected = scalar.uncertainty(*F, upper(covariance), False)[0]
+            found = scalar.magnitude_uncertainty(F1, F2, F3, upper(covariance))
+            expected = scalar.uncertainty(F1, F2, F3, upper(covariance), False)[0]
             assert found == expected or (isnan(found) and isnan(expected))
 
 

@@ -38,9 +38,7 @@ LOADS = Loads(np.full(3, 2.0), np.radians([200.0, 262.0, 310.0]), np.radians([50
 CAUSES = Causes()
 HUNG = groove_loads()
 EVERY_LOAD = np.meshgrid(np.linspace(0.0, 2.0 * pi, 181), np.linspace(0.0, 2.0 * pi, 181))
-LARGEST = np.abs(force_vector(1.0, EVERY_LOAD[0].ravel(), EVERY_LOAD[1].ravel()) @ A.T).max(
-    axis=0
-)  # gauge, load of 1 N
+LARGEST = np.abs(force_vector(1.0, *EVERY_LOAD).reshape(-1, 3) @ A.T).max(axis=0)  # gauge, load of 1 N
 
 
 def contact_error(F: FloatArray) -> FloatArray:
@@ -59,8 +57,21 @@ def calibrated(hung: Loads, noise: FloatArray | float = 0.0) -> FloatArray:
     return F
 
 
-def gauge_noise(rng: np.random.Generator) -> FloatArray:
-    return LOADS.F + rng.multivariate_normal(np.zeros(3), COVARIANCE) @ C.T
+STRAINS: dict[str, Callable[[FloatArray, np.random.Generator], FloatArray]] = {
+    "gauge noise": lambda V, rng: V + rng.multivariate_normal(np.zeros(3), COVARIANCE),
+    "gain": lambda V, rng: V * (1.0 + CAUSES.gain * rng.normal(size=3)),
+    "offset": lambda V, rng: V + CAUSES.offset_strain * rng.normal(size=3),
+    "temperature, mismatch": lambda V, rng: (
+        V + CAUSES.temperature_K * CAUSES.mismatch_strain_per_K * rng.normal(size=3)
+    ),
+    "hysteresis": lambda V, rng: V + CAUSES.hysteresis * LARGEST * LOADS.P_newtons[:, np.newaxis] * rng.normal(size=3),
+    "creep": lambda V, rng: V * float(1.0 + CAUSES.creep * rng.normal()),
+}
+"""Causes that change what the gauges read, (m, 3)."""
+
+
+def of_strain(cause: str) -> tuple[str, Draw, int]:
+    return cause, lambda rng: STRAINS[cause](LOADS.F @ A.T, rng) @ C.T, 4000
 
 
 def quantisation(rng: np.random.Generator) -> FloatArray:
@@ -69,32 +80,10 @@ def quantisation(rng: np.random.Generator) -> FloatArray:
     return (np.round(LOADS.F @ A.T / q + dither) - dither) * q @ C.T
 
 
-def gain(rng: np.random.Generator) -> FloatArray:
-    return LOADS.F @ A.T * (1.0 + CAUSES.gain * rng.normal(size=3)) @ C.T
-
-
-def offset(rng: np.random.Generator) -> FloatArray:
-    return (LOADS.F @ A.T + CAUSES.offset_strain * rng.normal(size=3)) @ C.T
-
-
 def temperature(rng: np.random.Generator) -> FloatArray:
     dT = CAUSES.temperature_K * rng.normal()
     V = LOADS.F @ A.T * (1.0 + CAUSES.sensitivity_per_K * dT) + CAUSES.apparent_strain_per_K * dT
     return V @ C.T
-
-
-def mismatch(rng: np.random.Generator) -> FloatArray:
-    return (LOADS.F @ A.T + CAUSES.temperature_K * CAUSES.mismatch_strain_per_K * rng.normal(size=3)) @ C.T
-
-
-def hysteresis(rng: np.random.Generator) -> FloatArray:
-    width = CAUSES.hysteresis * LARGEST * LOADS.P_newtons[:, np.newaxis]
-    V: FloatArray = LOADS.F @ A.T + width * rng.normal(size=3)
-    return V @ C.T
-
-
-def creep(rng: np.random.Generator) -> FloatArray:
-    return LOADS.F @ A.T * float(1.0 + CAUSES.creep * rng.normal()) @ C.T
 
 
 def calibration_noise(rng: np.random.Generator) -> FloatArray:
@@ -128,9 +117,8 @@ def off_axis(rng: np.random.Generator) -> FloatArray:
 @pytest.mark.parametrize(
     ("cause", "draw", "draws"),
     [
-        ("gauge noise", gauge_noise, 4000), ("quantisation", quantisation, 4000), ("gain", gain, 4000),
-        ("offset", offset, 4000), ("temperature, common", temperature, 4000), ("temperature, mismatch", mismatch, 4000),
-        ("hysteresis", hysteresis, 4000), ("creep", creep, 4000), ("calibration noise", calibration_noise, 2000),
+        *map(of_strain, STRAINS), ("quantisation", quantisation, 4000), ("temperature, common", temperature, 4000),
+        ("calibration noise", calibration_noise, 2000),
         ("load angle", load_angle, 2000), ("gravity", gravity, 2000), ("gauge position", gauge_position, 2000),
         ("off-axis load", off_axis, 800),
     ],

@@ -14,7 +14,7 @@ from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import LAYOUTS
 from tipforce.sensor.structure.plane_frame import slit_closure, worst_stress
 from tipforce.sensor.structure.strain import GaugePosition, gauge_matrix
-from tipforce_lab.design.merit import AGREEMENT, FIGURES, Assessment, Limits, LoadSet, assess, glued, merit, pareto
+from tipforce_lab.design.merit import AGREEMENT, FIGURES, Assessment, Limits, assess, glued, merit, pareto
 from tipforce_lab.design.search import (
     OBJECTIVES,
     SLENDERNESS,
@@ -23,6 +23,7 @@ from tipforce_lab.design.search import (
     Problem,
     configurations,
     improve,
+    point_of,
     score,
     search,
     trade_off,
@@ -31,8 +32,8 @@ from tipforce_lab.design.search import (
 FloatArray = npt.NDArray[np.float64]
 
 NOISE = 0.5
-LOADS = LoadSet()
 LIMITS = Limits()
+LOAD = LIMITS.load_newtons
 CASE_I_SLOTS = (GaugePosition("H", "left", 0.0), GaugePosition("H", "right", 0.0), GaugePosition("V", "right", 0.0))
 
 
@@ -58,21 +59,21 @@ def test_the_search_uses_the_strain_of_table_1() -> None:
         design = problem.design(x)
         rows = 1e6 * gauge_matrix(design.geometry, design.gauges)
         np.testing.assert_allclose(problem.rows(x[np.newaxis])[0], rows, rtol=1e-12, atol=1e-9)
-        np.testing.assert_allclose(problem.point(design), x, rtol=1e-14)
+        np.testing.assert_allclose(point_of(design), x, rtol=1e-14)
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
 def test_scores_and_their_derivatives(objective: Objective) -> None:
-    part, rng = score(objective, LOADS), np.random.default_rng(4)
+    part, rng = score(objective, LOAD), np.random.default_rng(4)
     for _ in range(5):
         A, direction = rng.normal(size=(4, 3)), rng.normal(size=(4, 3))
         value, slope = part(A)
         step = 1e-6
         difference = (part(A + step * direction)[0] - part(A - step * direction)[0]) / (2 * step)
         assert float(np.sum(slope * direction)) == pytest.approx(difference, rel=1e-6, abs=1e-8)
-        got = merit(1e-6 * A, 1.0, LOADS)
+        got = merit(1e-6 * A, 1.0, LOAD)
         exact = {
-            "theta": math.log(math.radians(got.u_theta_deg) * LOADS.load_newtons),
+            "theta": math.log(math.radians(got.u_theta_deg) * LOAD),
             "noise": math.log(got.noise_gain_newtons),
             "singular": -math.log(got.smallest_singular_value),
             "condition": math.log(got.condition_number) + 1e-3 * math.log(got.noise_gain_newtons),
@@ -83,7 +84,7 @@ def test_scores_and_their_derivatives(objective: Objective) -> None:
 def test_limits_of_the_paper_touch_the_paper() -> None:
     problem = Problem(CASE_I_SLOTS, LIMITS)
     gauges = glued(FABRICATED, LAYOUTS["I"], 1e-3)
-    x = problem.point(Design(FABRICATED, gauges))  # type: ignore[arg-type]
+    x = point_of(Design(FABRICATED, gauges))  # type: ignore[arg-type]
     room = problem.constraints(x[np.newaxis])[0]
     assert np.all(room > -1e-12)
     assert np.sum(np.abs(room) < 1e-9) >= 5  # stress, height, a = r, and gauges at their corners
@@ -109,8 +110,8 @@ def test_configurations() -> None:
 
 def check_limits(design: Design, limits: Limits) -> None:
     g, slack = design.geometry, 1e-8
-    assert worst_stress(g, limits.loads.load_newtons) <= limits.stress_pascals * (1 + 1e-6)
-    assert slit_closure(g, limits.loads.load_newtons) <= limits.slit_m * (1 + 1e-6)
+    assert worst_stress(g, limits.load_newtons) <= limits.stress_pascals * (1 + 1e-6)
+    assert slit_closure(g, limits.load_newtons) <= limits.slit_m * (1 + 1e-6)
     assert 2.0 * g.r_m <= limits.envelope_x_m + slack
     assert g.a_m <= g.r_m + slack
     assert g.r_m + g.d_m + 0.5 * g.h1_m <= limits.envelope_y_m + slack
@@ -139,7 +140,7 @@ def test_designs_keep_the_limits(gauges: int, objective: Objective) -> None:
     [
         Limits(gauge_length_m=2e-3),
         Limits(envelope_x_m=20e-3, envelope_y_m=25e-3, max_stress_pascals=400e6, slit_m=0.05e-3),
-        Limits(min_thickness_m=0.5e-3, loads=LoadSet(10.0)),
+        Limits(min_thickness_m=0.5e-3, load_newtons=10.0),
     ],
 )
 def test_other_limits_are_kept_too(limits: Limits) -> None:
@@ -238,7 +239,7 @@ def test_pareto_keeps_what_nobody_beats() -> None:
 )  # fmt: skip
 def test_limits_that_are_wrong(change: dict[str, float]) -> None:
     with pytest.raises(InputError, match=rf"limit {next(iter(change))} = .*allowed is"):
-        Limits(**change)  # type: ignore[arg-type]
+        Limits(**change)
 
 
 @pytest.mark.parametrize("limits", [Limits(gauge_length_m=0.1), Limits(min_thickness_m=0.05), Limits(slit_m=1e-9)])
@@ -258,4 +259,4 @@ def test_without_scipy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "scipy.optimize", None)
     problem = Problem(CASE_I_SLOTS, LIMITS)
     with pytest.raises(EnvironmentLackError, match=r"pip install 'tipforce\[science\]'"):
-        improve(problem, score("theta", LOADS), problem.start(np.random.default_rng(0)))
+        improve(problem, score("theta", LOAD), problem.start(np.random.default_rng(0)))

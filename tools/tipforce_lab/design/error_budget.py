@@ -122,11 +122,9 @@ def groove_loads() -> Loads:
 
 def pad_loads(P_newtons: float, theta_min_deg: float, theta_max_deg: float, *, pull: bool) -> Loads:
     """Return loads over a whole pad, every 5 degrees of theta and 15 of delta = phi - theta (friction up to 1)."""
-    theta_deg, delta_deg = np.meshgrid(
-        np.arange(theta_min_deg, theta_max_deg + 1e-9, 5.0), np.arange(-45.0, 46.0, 15.0)
-    )
-    theta = np.radians(theta_deg.ravel())
-    phi = theta + np.radians(delta_deg.ravel()) + (0.0 if pull else np.pi)
+    degrees = np.meshgrid(np.arange(theta_min_deg, theta_max_deg + 1e-9, 5.0), np.arange(-45.0, 46.0, 15.0))
+    theta, delta = (np.radians(grid.ravel()) for grid in degrees)
+    phi = theta + delta + (0.0 if pull else np.pi)
     return Loads(np.full(theta.shape, P_newtons), phi, theta)
 
 
@@ -155,15 +153,14 @@ def elementary_errors(sensor: Sensor, loads: Loads, causes: Causes) -> tuple[dic
     strain = F @ sensor.A.T
     per_gauge = np.broadcast_to(C.T[:, np.newaxis, :], (n, len(F), 3))  # error of F per unit strain in each gauge
     noise = sensor.covariance_strain2 if causes.noise_strain is None else causes.noise_strain**2 * np.eye(n)
-    values, vectors = np.linalg.eigh(noise)  # a factor B, noise = B B^T, also of a singular covariance
+    values, vectors = np.linalg.eigh(noise)
+    factor = vectors * np.sqrt(np.maximum(values, 0.0))  # noise = factor factor^T, also of a singular covariance
     # Over all directions and contacts: hypot(A1, A3) + |A2| times P, as in worst_strain(); P = hypot(F1, F3).
     worst = np.hypot(sensor.A[:, 0], sensor.A[:, 2]) + np.abs(sensor.A[:, 1])
     largest = worst[:, np.newaxis] * np.hypot(F[:, 0], F[:, 2])
     common = causes.temperature_K * (causes.apparent_strain_per_K * C.sum(axis=1) + causes.sensitivity_per_K * F)
     errors_by_cause = {
-        "gauge noise": np.broadcast_to(
-            (C @ (vectors * np.sqrt(np.maximum(values, 0.0)))).T[:, np.newaxis, :], per_gauge.shape
-        ),
+        "gauge noise": np.broadcast_to((C @ factor).T[:, np.newaxis, :], per_gauge.shape),
         "quantisation": causes.resolution_strain / sqrt(12.0) * per_gauge,
         "gain": causes.gain * strain.T[:, :, np.newaxis] * per_gauge,
         "offset": causes.offset_strain * per_gauge,
@@ -185,9 +182,7 @@ def elementary_errors(sensor: Sensor, loads: Loads, causes: Causes) -> tuple[dic
             slopes = np.array([_slope(sensor.geometry, place) for place in sensor.positions])
             errors_by_cause["gauge position"] = causes.gauge_shift_m * (F @ slopes.T).T[:, :, np.newaxis] * per_gauge
         off_axis = _off_axis_strains(sensor.geometry, sensor.positions, loads.theta_rad, causes)
-        errors_by_cause["off-axis load"] = np.concatenate(
-            [strain.T[:, :, np.newaxis] * per_gauge for strain in off_axis]
-        )
+        errors_by_cause["off-axis load"] = np.concatenate([each.T[:, :, np.newaxis] * per_gauge for each in off_axis])
     return {cause: np.asarray(E, dtype=np.float64) for cause, E in errors_by_cause.items()}, left_out
 
 
@@ -205,14 +200,14 @@ def _calibration_errors(F: FloatArray, causes: Causes, noise: FloatArray) -> dic
     return {
         "calibration noise": np.sqrt(np.einsum("mi,mi->m", each, solved.T))[:, np.newaxis] * noise,
         "load angle": causes.load_angle_rad * turns,
-        "gravity": causes.gravity_rad * turns[_along_y(hung)].sum(axis=0)[np.newaxis],
+        "gravity": causes.gravity_rad * turns[~paper_grooves().along_x].sum(axis=0)[np.newaxis],
     }
 
 
 def gravity_residual(angle_rad: float) -> float:
     """Return the RMS over the load of such an angle between x-loads and y-loads in the residuals of the fit."""
     hung = groove_loads()
-    turned = hung.turned * (angle_rad * _along_y(hung))[:, np.newaxis]
+    turned = hung.turned * (angle_rad * ~paper_grooves().along_x)[:, np.newaxis]
     rows = np.vstack([turned, np.zeros_like(turned)])
     G = np.vstack([_with_one(hung.F), _with_one(np.zeros_like(hung.F))])
     residual = (rows - G @ np.linalg.lstsq(G, rows, rcond=None)[0])[: len(turned)]
@@ -221,11 +216,6 @@ def gravity_residual(angle_rad: float) -> float:
 
 def _with_one(F: FloatArray) -> FloatArray:
     return np.column_stack([F, np.ones(len(F))])
-
-
-def _along_y(loads: Loads) -> BoolArray:
-    along_y: BoolArray = np.abs(np.sin(loads.phi_rad)) > np.abs(np.cos(loads.phi_rad))
-    return along_y
 
 
 def _slope(geometry: Geometry, place: GaugePosition) -> FloatArray:
@@ -242,11 +232,8 @@ def _off_axis_strains(
     wrenches = causes.off_axis_newtons * off_axis_wrenches(geometry, theta_rad)
     centred = wrench_strain_matrix(geometry, [PlacedGauge(place) for place in positions])
     strains = []
-    for step, size in (
-        ((_PLACEMENT_STEP, 0.0), causes.lateral_offset_m),
-        ((0.0, _PLACEMENT_STEP), causes.misalignment_rad),
-    ):
-        moved = wrench_strain_matrix(geometry, [PlacedGauge(place, *step) for place in positions])
+    for step, size in zip(_PLACEMENT_STEP * np.eye(2), (causes.lateral_offset_m, causes.misalignment_rad), strict=True):
+        moved = wrench_strain_matrix(geometry, [PlacedGauge(place, *step.tolist()) for place in positions])
         strains.append(wrenches @ ((moved - centred) / _PLACEMENT_STEP * size).T)
     return strains
 

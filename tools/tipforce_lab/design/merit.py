@@ -23,43 +23,33 @@ from tipforce.sensor.structure.strain import (
     gauge_matrix,
     gauge_name,
     noise_gain,
-    nominal_position,
+    shifted,
 )
 
 _FRICTION = 0.5
 _CONTACTS, _DIRECTIONS = 61, 9  # midpoints over pad and friction cone; twice as many change u by less than 1e-3
 
 
-@dataclass(frozen=True, slots=True)
-class LoadSet:
-    """The loads of an average: uniform over pad and friction cone. Raises InputError for a load out of range."""
+def load_angles() -> tuple[FloatArray, FloatArray]:
+    """Return (phi_rad, theta_rad), each (k,), of the loads of an average: uniform over pad and friction cone."""
+    theta = math.pi * ((np.arange(_CONTACTS) + 0.5) / _CONTACTS)
+    cone = math.atan(_FRICTION) * (2.0 * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS - 1.0)
+    theta, cone = (grid.ravel() for grid in np.meshgrid(theta, cone))
+    return theta + math.pi + cone, theta
 
-    load_newtons: float = CALIBRATION_WEIGHT_NEWTONS
 
-    def __post_init__(self) -> None:
-        if not 0.0 < self.load_newtons < math.inf:
-            raise InputError(f"load = {self.load_newtons!r} N: allowed is a positive finite number")
-
-    def angles(self) -> tuple[FloatArray, FloatArray]:
-        """Return (phi_rad, theta_rad), each (k,): the directions and contacts of the set."""
-        theta = math.pi * ((np.arange(_CONTACTS) + 0.5) / _CONTACTS)
-        cone = math.atan(_FRICTION) * (2.0 * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS - 1.0)
-        theta, cone = (grid.ravel() for grid in np.meshgrid(theta, cone))
-        return theta + math.pi + cone, theta
-
-    def weights(self) -> FloatArray:
-        """Return W_P, W_phi, W_theta, shape (3, 3, 3), units 1, (rad/N)^2, (rad/N)^2: means of j j^T, j the gradient of
-        P, phi or theta by F. First order: the mean variance of the quantity is tr(W C Sigma_V C^T)."""
-        phi, theta = self.angles()
-        s, c, zero = np.sin(phi), np.cos(phi), np.zeros_like(phi)
-        delta = phi - theta
-        gradient_P = np.stack((s, zero, c), axis=-1)
-        gradient_phi = np.stack((c, zero, -s), axis=-1) / self.load_newtons
-        # sin(delta) = F2 / P: d(delta) = (dF2 - sin(delta) dP) / (P cos(delta)), and theta = phi - delta.
-        slope_2 = np.stack((zero, 1.0 / np.cos(delta), zero), axis=-1) / self.load_newtons
-        slope_P = np.tan(delta)[:, np.newaxis] * gradient_P / self.load_newtons
-        gradients = (gradient_P, gradient_phi, gradient_phi - slope_2 + slope_P)
-        return np.stack([j.T @ j / len(phi) for j in gradients])
+def load_weights(load_newtons: float) -> FloatArray:
+    """Return W_P, W_phi, W_theta, shape (3, 3, 3), units 1, (rad/N)^2, (rad/N)^2: means of j j^T, j the gradient of P,
+    phi or theta by F. First order: the mean variance of the quantity is tr(W C Sigma_V C^T)."""
+    phi, theta = load_angles()
+    s, c, zero, delta = np.sin(phi), np.cos(phi), np.zeros_like(phi), phi - theta
+    gradient_P = np.stack((s, zero, c), axis=-1)
+    gradient_phi = np.stack((c, zero, -s), axis=-1) / load_newtons
+    # sin(delta) = F2 / P: d(delta) = (dF2 - sin(delta) dP) / (P cos(delta)), and theta = phi - delta.
+    slope_2 = np.stack((zero, 1.0 / np.cos(delta), zero), axis=-1) / load_newtons
+    slope_P = np.tan(delta)[:, np.newaxis] * gradient_P / load_newtons
+    gradients = (gradient_P, gradient_phi, gradient_phi - slope_2 + slope_P)
+    return np.stack([j.T @ j / len(phi) for j in gradients])
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,22 +67,21 @@ class Limits:
     gauge_length_m: float = 1e-3
     slit_m: float = PAPER_SLIT_M
     """The load must not close it."""
-    loads: LoadSet = LoadSet()
+    load_newtons: float = CALIBRATION_WEIGHT_NEWTONS
     max_stress_pascals: float | None = None
     """Anywhere on the beams at the load, at the worst angle; None: that of the paper's body."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not (field.name == "loads" or value is None or 0.0 < value < math.inf):
-                raise InputError(f"limit {field.name} = {value!r}: allowed is a positive finite number in SI units")
+        if not 0.0 < self.load_newtons < math.inf:
+            raise InputError(f"load = {self.load_newtons!r} N: allowed is a positive finite number")
+        for name, value in asdict(self).items():
+            if value is not None and not 0.0 < value < math.inf:
+                raise InputError(f"limit {name} = {value!r}: allowed is a positive finite number in SI units")
 
     @property
     def stress_pascals(self) -> float:
         """max_stress_pascals, or its default."""
-        if self.max_stress_pascals is None:
-            return worst_stress(FABRICATED, self.loads.load_newtons)
-        return self.max_stress_pascals
+        return self.max_stress_pascals or worst_stress(FABRICATED, self.load_newtons)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +99,7 @@ class Merit:
     condition_number: float
 
 
-def merit(strain_matrix: npt.ArrayLike, noise_microstrain: float, loads: LoadSet) -> Merit:
+def merit(strain_matrix: npt.ArrayLike, noise_microstrain: float, load_newtons: float) -> Merit:
     """Return the figures of a strain matrix (n, 3), strain per newton; equal white noise on every gauge. A matrix of
     rank below 3 gives infinite uncertainties. Raises InputError for a noise that is negative or not finite."""
     A = 1e6 * np.asarray(strain_matrix, dtype=np.float64)
@@ -119,7 +108,7 @@ def merit(strain_matrix: npt.ArrayLike, noise_microstrain: float, loads: LoadSet
     if np.linalg.matrix_rank(A) < 3:
         return Merit(math.inf, math.inf, math.inf, math.inf, 0.0, math.inf)
     C = np.linalg.pinv(A)
-    u = [noise_microstrain * math.sqrt(np.trace(W @ C @ C.T)) for W in loads.weights()]
+    u = [noise_microstrain * math.sqrt(np.trace(W @ C @ C.T)) for W in load_weights(load_newtons)]
     return Merit(
         u[0], math.degrees(u[1]), math.degrees(u[2]), noise_gain(C),
         float(np.linalg.svd(A, compute_uv=False)[-1]), condition_number(A),
@@ -173,14 +162,13 @@ def assess(
     Points of Table 1 are read at the point itself: a gauge there would reach beyond the beam. Raises InputError for
     gauges that are not usable.
     """
-    A, loads = gauge_matrix(geometry, gauges), limits.loads
+    A, load = gauge_matrix(geometry, gauges), limits.load_newtons
     length_m = 0.0 if any(isinstance(gauge, str) for gauge in gauges) else limits.gauge_length_m
     block = replace(ELASTIC_ROOTS, finite_joint=True)
     matrices = [Frame(geometry, model).strain_matrix(gauges, length_m) for model in (ELASTIC_ROOTS, block)]
-    theory, frame, finite = (merit(matrix, noise_microstrain, loads) for matrix in (A, *matrices))
+    theory, frame, finite = (merit(matrix, noise_microstrain, load) for matrix in (A, *matrices))
     return Assessment(
-        name, geometry, tuple(gauges), theory, frame, finite,
-        worst_stress(geometry, loads.load_newtons), worst_strain(A, loads.load_newtons),
+        name, geometry, tuple(gauges), theory, frame, finite, worst_stress(geometry, load), worst_strain(A, load),
         limits.slit_m / slit_closure(geometry, 1.0),
     )  # fmt: skip
 
@@ -188,15 +176,11 @@ def assess(
 def glued(geometry: Geometry, gauges: Sequence[str], gauge_length_m: float) -> tuple[Gauge, ...]:
     """Return gauges of that length as near to the points of Table 1 as the body allows. At the joint a gauge of the
     arms begins beside the vertical beam, h2 / 2 from the middle. Raises InputError for an unknown point."""
-    inset = 0.5 * gauge_length_m
     positions: list[Gauge] = []
     for point in gauges:
-        spot = nominal_position(geometry, point)
-        if spot.position_m > 0.0:
-            positions.append(spot._replace(position_m=spot.position_m - inset))
-        else:
-            beside = 0.5 * geometry.h2_m if spot.beam == "H" else 0.0
-            positions.append(spot._replace(position_m=beside + inset))
+        moved = shifted(geometry, point, 0.5 * gauge_length_m)
+        beside = 0.5 * geometry.h2_m if point in ("K_H", "S_H") else 0.0
+        positions.append(moved._replace(position_m=beside + moved.position_m))
     return tuple(positions)
 
 

@@ -31,11 +31,9 @@ def condition_range(condition: float, from_length_m: float, to_length_m: float) 
 
 
 def lengths_of_condition(geometry: Geometry, gauges: Layout, condition: float) -> tuple[float, ...]:
-    """Return the lengths (m) at which a layout has a given condition number: none, or one to either side of its best.
-    The logarithm of the length is halved between the best length and 1e-6 and 1e6 of it."""
+    """Return the lengths (m) at which a layout has a condition number above its least, one to either side of the best:
+    by bisection of the logarithm between the best length and 1e-6 and 1e6 of it."""
     best = best_length(geometry, gauges)
-    if condition < tables.condition_at_length(geometry, gauges, best):
-        return ()
     lengths = []
     for end in (-6.0, 6.0):
         near, far = 0.0, end
@@ -80,10 +78,7 @@ MATERIALS = (
 
 def figures_of(geometry: Geometry, material: Material, gauges: Layout) -> Record:
     """Return the figures of a body made of a material, keys as in _FIGURES_COLUMNS: loads over all contacts and
-    directions that reach the yield stress, or close a slit of PAPER_SLIT_M.
-
-    Raises InputError for an unusable layout.
-    """
+    directions that reach the yield stress, or close the paper's slit. Raises InputError for an unusable layout."""
     body = replace(geometry, youngs_modulus_pascals=material.youngs_modulus_pascals)
     stress, noise = worst_stress(body, 1.0), strain.noise_gain(strain.calibration_matrix(body, gauges))
     moving = modes(body, 0.0, half_cylinder(body, material.density_kg_m3))

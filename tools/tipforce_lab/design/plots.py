@@ -183,6 +183,7 @@ def draw_sweep(path: Path, section: Section) -> None:
 LEG_MM, LEG_TOP_MM, SLIT_MM = 2.0, 2.5, 0.25
 """Legs: assumed, outside of a because a = r leaves no space for them. The slit is the paper's cutting line."""
 BODY, BEAM = "#d9d9d9", "#8c8c8c"
+Place = FloatArray | tuple[float, float]
 
 
 def cross_section() -> Figure:
@@ -207,8 +208,7 @@ def groove_directions() -> Figure:
     for theta, phi, along_x in zip(grooves.theta_rad, grooves.phi_rad, grooves.along_x, strict=True):
         x, y = r * np.cos(theta), r * np.sin(theta)
         colour = BLUE if along_x else VERMILLION
-        tip = (x + 5.0 * np.cos(phi), y + 5.0 * np.sin(phi))
-        axes.annotate("", tip, (x, y), arrowprops={"arrowstyle": "->", "color": colour, "shrinkA": 0, "shrinkB": 0})
+        _arrow(axes, (x, y), (x + 5.0 * np.cos(phi), y + 5.0 * np.sin(phi)), color=colour)
         axes.plot(x, y, "o" if along_x else "s", color=colour, markersize=3.5)
         inner = 0.87 if along_x else 0.74
         axes.text(inner * x, inner * y, f"{np.degrees(theta):.0f}", color=colour, fontsize=7, ha="center", va="center")
@@ -279,17 +279,16 @@ def _gauge_points(axes: Axes, geometry: Geometry) -> None:
 
 def _dimensions(axes: Axes, geometry: Geometry) -> None:
     a, d, r, h1, h2 = (MM * value for value in (geometry.a_m, geometry.d_m, geometry.r_m, geometry.h1_m, geometry.h2_m))
-    arrow = {"arrowstyle": "<->", "color": "black", "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", (0.0, 2.2), (a, 2.2), arrowprops=arrow)
-    axes.text(0.5 * a, 2.6, f"a = {a:g}", ha="center", fontsize=8)
-    axes.annotate("", (-9.5, -0.5 * h1), (-9.5, -0.5 * h1 - d), arrowprops=arrow)
-    axes.text(-9.9, -0.5 * d, f"d = {d:g}", ha="right", fontsize=8)
-    angle = np.radians(125.0)
-    axes.annotate("", (0.0, 0.0), (r * np.cos(angle), r * np.sin(angle)), arrowprops={**arrow, "arrowstyle": "<-"})
-    axes.text(-6.6, 7.6, f"r = {r:g}", ha="right", fontsize=8)
-    axes.text(
-        a + 4.8, -8.4, f"h1 = {h1:g}\nh2 = {h2:g}\nwidth = {geometry.width_m * MM:g}\n(mm)", ha="right", fontsize=8
-    )
+    radius = r * np.cos(np.radians(125.0)), r * np.sin(np.radians(125.0))
+    for start, end, arrow, at, text, side in (
+        ((a, 2.2), (0.0, 2.2), "<->", (0.5 * a, 2.6), f"a = {a:g}", "center"),
+        ((-9.5, -0.5 * h1 - d), (-9.5, -0.5 * h1), "<->", (-9.9, -0.5 * d), f"d = {d:g}", "right"),
+        (radius, (0.0, 0.0), "<-", (-6.6, 7.6), f"r = {r:g}", "right"),
+    ):
+        _arrow(axes, start, end, arrow, color="black", linewidth=0.8)
+        axes.text(*at, text, ha=side, fontsize=8)
+    others = f"h1 = {h1:g}\nh2 = {h2:g}\nwidth = {geometry.width_m * MM:g}\n(mm)"
+    axes.text(a + 4.8, -8.4, others, ha="right", fontsize=8)
 
 
 def _load_signs(axes: Axes, geometry: Geometry) -> None:
@@ -301,31 +300,30 @@ def _load_signs(axes: Axes, geometry: Geometry) -> None:
     pull = r * np.array([np.cos(theta), np.sin(theta)])
     push = pull - 2.0 * (pull @ direction) * direction
     axes.plot(*zip(push, pull, strict=True), color="black", linewidth=0.8, linestyle=":")
-    _arrow(axes, pull, pull + 8.0 * direction, VERMILLION, 1.8)
-    _arrow(axes, push - 8.0 * direction, push, BLUE, 1.8)
     up = 8.0 * direction
+    _arrow(axes, pull, pull + up, color=VERMILLION, linewidth=1.8)
+    _arrow(axes, push - up, push, color=BLUE, linewidth=1.8)
     _label(axes, pull + up + np.array([-1.0, 1.2]), "P: a rope\npulls here", VERMILLION, va="bottom")
     _label(axes, push - up + np.array([1.0, 2.6]), "the same F:\na contact\npushes here", BLUE, va="bottom")
     for end, name in ((np.array([r + 4.0, 0.0]), "x"), (np.array([0.0, r + 4.0]), "y")):
-        _arrow(axes, np.zeros(2), end, "black", 0.8)
+        _arrow(axes, np.zeros(2), end, color="black", linewidth=0.8)
         _label(axes, end * (1.0 + 1.0 / (r + 4.0)), name, "black")
     axes.plot(*zip(np.zeros(2), pull, strict=True), color="black", linewidth=0.8, linestyle="-")
     axes.plot(*zip(pull, pull + np.array([7.0, 0.0]), strict=True), color="black", linewidth=0.8, linestyle=":")
     for centre, radius, angle in ((np.zeros(2), 5.0, theta), (pull, 6.0, phi)):
         arc = np.linspace(0.0, angle, 31)
         axes.plot(centre[0] + radius * np.cos(arc), centre[1] + radius * np.sin(arc), color=GREEN, linewidth=1.2)
-    _label(axes, np.array([5.4, 2.0]), "theta", GREEN, ha="left")
+    _label(axes, (5.4, 2.0), "theta", GREEN, ha="left")
     _label(axes, pull + np.array([6.4, -1.0]), "phi", GREEN, ha="left")
-    sign = "angles from the x-axis; tension is positive on every gauge"
-    _label(axes, np.array([0.0, -3.0]), sign, GREY, va="baseline")
+    _label(axes, (0.0, -3.0), "angles from the x-axis; tension is positive on every gauge", GREY, va="baseline")
     axes.set(xlim=(-r - 11.0, r + 8.0), ylim=(-6.0, r + 7.0))
 
 
-def _arrow(axes: Axes, start: FloatArray, end: FloatArray, colour: str, width: float) -> None:
-    style = {"arrowstyle": "->", "color": colour, "linewidth": width, "shrinkA": 0, "shrinkB": 0}
+def _arrow(axes: Axes, start: Place, end: Place, arrow: str = "->", **line: Any) -> None:
+    style = {"arrowstyle": arrow, **line, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", (float(end[0]), float(end[1])), (float(start[0]), float(start[1])), arrowprops=style)
 
 
-def _label(axes: Axes, at: FloatArray, text: str, colour: str, **where: str) -> None:
+def _label(axes: Axes, at: Place, text: str, colour: str, **where: str) -> None:
     alignment: Any = {"ha": "center", "va": "center"} | where
     axes.text(float(at[0]), float(at[1]), text, color=colour, fontsize=8.5, **alignment)

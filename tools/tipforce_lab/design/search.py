@@ -8,7 +8,8 @@ import itertools
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import astuple, replace
 from functools import partial
 from typing import Literal, NamedTuple
 
@@ -20,7 +21,7 @@ from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS
 from tipforce.sensor.structure.plane_frame import AnyArray, slit_compliance
 from tipforce.sensor.structure.strain import GaugePosition
-from tipforce_lab.design.merit import FIGURES, Assessment, Limits, LoadSet, assess, glued, pareto
+from tipforce_lab.design.merit import FIGURES, Assessment, Limits, assess, glued, load_weights, pareto
 
 UNIT_M = 1e-3  # the search uses millimetres and microstrain
 _DIMENSIONS = 6  # a, d, r, h1, h2, width; then the positions of the gauges
@@ -43,6 +44,12 @@ _SLOTS = (
     GaugePosition("V", "left", 0.0), GaugePosition("V", "right", 0.0),
 )  # fmt: skip
 """The faces that have gauges: not the upper one of the horizontal beam, inside the slit."""
+
+
+def point_of(design: Design) -> FloatArray:
+    """Return the variables (6 + n,) of a design, millimetres."""
+    *lengths, _ = astuple(design.geometry)
+    return np.array([*lengths, *(gauge.position_m for gauge in design.gauges)]) / UNIT_M
 
 
 def configurations(gauges: int) -> list[tuple[GaugePosition, ...]]:
@@ -93,7 +100,7 @@ class Problem:
         """Return the constraints, not negative, (m, k): stress, slit, envelope, wall, slenderness, gauge spacing."""
         limits = self.limits
         a, d, r, h1, h2, b = x[:, :_DIMENSIONS].T
-        load = limits.loads.load_newtons
+        load = limits.load_newtons
         horizontal = np.sqrt((1.5 * a / h1**2) ** 2 + (0.5 / h1) ** 2) + 3.0 * r / h1**2
         vertical = np.sqrt((6.0 * (d + 0.5 * h1) / h2**2) ** 2 + 1.0 / h2**2) + 6.0 * r / h2**2
         closure = slit_compliance(a, r, h1) * load / (b * _MODULUS)
@@ -113,12 +120,6 @@ class Problem:
         gauges = (slot._replace(position_m=float(s) * UNIT_M) for slot, s in places)
         return Design(geometry, tuple(gauges))
 
-    def point(self, design: Design) -> FloatArray:
-        """Return the variables (6 + n,) of a design of this configuration."""
-        g = design.geometry
-        lengths = [g.a_m, g.d_m, g.r_m, g.h1_m, g.h2_m, g.width_m, *(gauge.position_m for gauge in design.gauges)]
-        return np.array(lengths) / UNIT_M
-
     def start(self, rng: np.random.Generator) -> FloatArray:
         """Return a random point, near or inside the limits."""
         limits = self.limits
@@ -126,7 +127,7 @@ class Problem:
         r = rng.uniform(0.5, 1.0) * min(0.5 * limits.envelope_x_m / UNIT_M, 0.8 * height)
         a = rng.uniform(0.4, 1.0) * r
         d = rng.uniform(0.5, 1.0) * (height - r)
-        strength = self._stress * b / limits.loads.load_newtons
+        strength = self._stress * b / limits.load_newtons
         h1 = max(least, math.sqrt((1.5 * a + 3.0 * r) / strength)) * rng.uniform(1.0, 1.3)
         h2 = max(least, math.sqrt(6.0 * (d + r) / strength)) * rng.uniform(1.0, 1.3)
         lengths = np.where(self.horizontal, a, d)
@@ -165,10 +166,11 @@ _FEASIBLE = 1e-7
 _FAILED = 1e3
 
 Score = Callable[[FloatArray], tuple[float, FloatArray]]
-"""Strain matrix (n, 3) in microstrain per newton -> the minimised value, and its derivative by the matrix (n, 3)."""
+"""Strain matrix (n, 3) in microstrain per newton -> the minimised value, and its derivative by the matrix (n, 3).
+Raises LinAlgError for a matrix that is not finite or not of rank 3."""
 
 
-def score(objective: Objective, loads: LoadSet) -> Score:
+def score(objective: Objective, load_newtons: float) -> Score:
     """Return the logarithm of an objective: u_theta, sqrt(trace(C C^T)), 1 / smallest singular value, or condition.
 
     A thousandth of the noise is added to the condition number, which alone does not determine the beams' thickness.
@@ -177,7 +179,7 @@ def score(objective: Objective, loads: LoadSet) -> Score:
     if objective not in OBJECTIVES:
         raise InputError(f"objective {objective!r} is not known: allowed are {', '.join(OBJECTIVES)}")
     if objective in ("theta", "noise"):
-        W = loads.weights()[2] * loads.load_newtons**2 if objective == "theta" else np.eye(3)
+        W = load_weights(load_newtons)[2] * load_newtons**2 if objective == "theta" else np.eye(3)
         return lambda A: _trace(A, W)
     if objective == "singular":
         return lambda A: _extreme(A, -1.0)
@@ -205,10 +207,10 @@ def improve(problem: Problem, goal: Score, x: FloatArray) -> tuple[float, FloatA
     step = 1e-30j * np.diag(scale)
 
     def scored(z: FloatArray) -> tuple[float, FloatArray]:
-        A = problem.rows((z * scale)[np.newaxis])[0].real
-        if not np.isfinite(A).all():
+        try:
+            value, by_matrix = goal(np.asarray(problem.rows((z * scale)[np.newaxis])[0].real, dtype=np.float64))
+        except np.linalg.LinAlgError:
             return _FAILED, np.zeros_like(z)
-        value, by_matrix = goal(np.asarray(A, dtype=np.float64))
         slopes = problem.rows(z * scale + step).imag / 1e-30
         return value, np.tensordot(slopes, by_matrix, axes=([1, 2], [0, 1]))
 
@@ -231,22 +233,18 @@ def improve(problem: Problem, goal: Score, x: FloatArray) -> tuple[float, FloatA
 
 
 def _trace(A: FloatArray, W: FloatArray) -> tuple[float, FloatArray]:
-    try:
-        inverse = np.linalg.inv(A.T @ A)
-    except np.linalg.LinAlgError:
-        return _FAILED, np.zeros_like(A)
-    weighted = inverse @ W @ inverse
+    inverse = np.linalg.inv(A.T @ A)
     trace = float(np.trace(W @ inverse))
     if not 0.0 < trace < math.inf:
-        return _FAILED, np.zeros_like(A)
-    return 0.5 * math.log(trace), -(A @ weighted) / trace
+        raise np.linalg.LinAlgError("the matrix has no finite inverse")
+    return 0.5 * math.log(trace), -(A @ (inverse @ W @ inverse)) / trace
 
 
 def _extreme(A: FloatArray, sign: float) -> tuple[float, FloatArray]:
     """Return log of the largest singular value (sign +1), or of 1 / the smallest (-1), as a smooth norm of all."""
     U, values, V = np.linalg.svd(A, full_matrices=False)
     if not values[-1] > 0.0:
-        return _FAILED, np.zeros_like(A)
+        raise np.linalg.LinAlgError("the matrix has no rank 3")
     reference = values[0] if sign > 0.0 else values[-1]
     powers = (values / reference) ** (sign * _POWER)
     total = float(powers.sum())
@@ -270,7 +268,7 @@ def search(
     """
     if starts < 1:
         raise InputError(f"{starts} starts: allowed is 1 or more")
-    goal = score(objective, limits.loads)
+    goal = score(objective, limits.load_newtons)
     best: list[tuple[float, Design]] = []
     for number, slots in enumerate(configurations(gauges)):
         problem, rng = Problem(slots, limits), np.random.default_rng((seed, number))
@@ -300,16 +298,19 @@ def trade_off(
     The condition number has a ceiling (TRADE_OFF_STEPS of the way from best to least, as a penalty). Each optimum is
     the start of the next: downwards from best and others, upwards from least. Raises as search() does.
     """
-    goal, condition = score(objective, limits.loads), score("condition", limits.loads)
-    begins = [(problem_of(design, limits), design) for design in (best, *others, least)]
+    goal, condition = score(objective, limits.load_newtons), score("condition", limits.load_newtons)
+    begins = [
+        (Problem([gauge._replace(position_m=0.0) for gauge in design.gauges], limits), point_of(design))
+        for design in (best, *others, least)
+    ]
     highest, lowest = (
-        condition(np.asarray(problem.rows(problem.point(design)[np.newaxis])[0], dtype=np.float64))[0]
-        for problem, design in (begins[0], begins[-1])
+        condition(np.asarray(problem.rows(x[np.newaxis])[0], dtype=np.float64))[0]
+        for problem, x in (begins[0], begins[-1])
     )
     designs: list[Design] = []
-    for problem, design in begins:
-        x = problem.point(design)
-        for step in reversed(TRADE_OFF_STEPS) if design is least else TRADE_OFF_STEPS:
+    for number, (problem, begin) in enumerate(begins):
+        x = begin
+        for step in reversed(TRADE_OFF_STEPS) if number == len(begins) - 1 else TRADE_OFF_STEPS:
             held = mixed([(1.0, goal), (1.0, _below(condition, highest + step * (lowest - highest)))])
             end = improve(problem, held, x)
             done()
@@ -328,11 +329,6 @@ def _below(part: Score, ceiling: float) -> Score:
         return _PENALTY * excess * excess, 2.0 * _PENALTY * excess * slope
 
     return penalty
-
-
-def problem_of(design: Design, limits: Limits) -> Problem:
-    """Return the configuration of a design."""
-    return Problem([gauge._replace(position_m=0.0) for gauge in design.gauges], limits)
 
 
 _FROM = 4  # configurations from which the path to the minimum condition number starts
@@ -367,7 +363,7 @@ def optimise(
     seed: int,
     done: Callable[[], None] = lambda: None,
 ) -> Outcome:
-    """Optimise the objective and the condition number, follow the path between them, and assess all designs."""
+    """Return the optima of the objective and of the condition number, and those on the path between them, assessed."""
     axis: Objective = "theta" if objective == "condition" else objective
     best = search(gauges, axis, limits, starts=starts, seed=seed, done=done)
     least = search(gauges, "condition", limits, starts=starts, seed=seed, done=done)[0]
@@ -380,9 +376,6 @@ def optimise(
     if condition_only not in front:
         front.append(condition_only)
     paper = [judge(case, FABRICATED, LAYOUTS[case]) for case in CASES]
-    try:
-        real = glued(FABRICATED, LAYOUTS["I"], limits.gauge_length_m)
-        paper.append(judge("I glued", FABRICATED, real))
-    except InputError:  # gauges of this length do not fit on the paper's body
-        pass
+    with suppress(InputError):  # gauges of this length do not fit on the paper's body
+        paper.append(judge("I glued", FABRICATED, glued(FABRICATED, LAYOUTS["I"], limits.gauge_length_m)))
     return Outcome(paper, front, condition_only if objective == "condition" else first, condition_only)

@@ -104,7 +104,7 @@ def table_1(geometry: Geometry) -> list[Table1Row]:
 
 
 def maximum_over_contacts(g: tuple[float, float, float]) -> Maximum:
-    """Return the largest reading over theta in [0, 180] and all phi, in closed form. The squared amplitude over phi,
+    """Return the largest reading over theta in [0, 180] and all phi, in closed form: the squared amplitude over phi,
     g1^2 + g2^2 + g3^2 + 2 g2 (g1 cos(theta) - g3 sin(theta)), is a cosine of theta."""
     g1, g2, g3 = g
     if g2 == 0.0 or hypot(g1, g3) < 1e-12 * abs(g2):
@@ -168,45 +168,42 @@ def condition_at_length(geometry: Geometry, gauges: Layout, length_m: float) -> 
 
 def figures(matrix: FloatArray) -> Record:
     """Return the figures of merit of a strain matrix (n, 3); infinite if it cannot separate the three forces."""
-    separates = int(np.linalg.matrix_rank(matrix)) == 3
+    if int(np.linalg.matrix_rank(matrix)) < 3:
+        return dict.fromkeys(("condition", "row_equilibrated", "noise_gain_N_per_ue"), inf)
     return {
-        "condition": strain.condition_number(matrix) if separates else inf,
-        "row_equilibrated": strain.row_equilibrated_condition_number(matrix) if separates else inf,
-        "noise_gain_N_per_ue": strain.noise_gain(np.linalg.pinv(matrix)) / MICRO if separates else inf,
+        "condition": strain.condition_number(matrix),
+        "row_equilibrated": strain.row_equilibrated_condition_number(matrix),
+        "noise_gain_N_per_ue": strain.noise_gain(np.linalg.pinv(matrix)) / MICRO,
     }
 
 
 def ranked_layouts(geometry: Geometry, by: str = "condition") -> list[Record]:
-    """Return the 28 mirrored pairs of layouts of three points, which share every figure, best first.
-
-    Keys: case (I, II, III, or empty), gauges, mirror, and what ``by`` may be: condition, thin (its limit), that with
-    every row scaled to unit length, newtons of noise per microstrain; infinite if a layout cannot separate the three
-    forces.
-    """
+    """Return the 28 mirrored pairs of layouts of three points, which share every figure, best first: case (I, II, III,
+    or empty), gauges, mirror, and what ``by`` may be: the keys of figures(), and thin, the limit of the condition."""
     names = {frozenset(LAYOUTS[name]): name.rstrip("'") for name in LAYOUTS}
-    by_mirror: dict[frozenset[frozenset[str]], Record] = {}
+    rows: list[Record] = []
+    seen: set[frozenset[str]] = set()
     for chosen in itertools.combinations(POINTS, 3):
-        pair = frozenset((frozenset(chosen), frozenset(mirror(chosen))))
-        if pair in by_mirror:
+        if frozenset(mirror(chosen)) in seen:
             continue
+        seen.add(frozenset(chosen))
         case = names.get(frozenset(chosen), "")
         points = LAYOUTS[case] if case else chosen
         thin = strain.condition_number(strain.thin_limit_matrix(points))
-        by_mirror[pair] = {
+        rows.append({
             "case": case, "gauges": points, "mirror": mirror(points), **figures(strain.strain_matrix(geometry, points)),
             "thin": thin if thin < 1e12 else inf,  # singular: rounding makes it barely regular
-        }  # fmt: skip
-    return sorted(by_mirror.values(), key=lambda row: (round(row[by], 9), row["condition"]))
+        })  # fmt: skip
+    return sorted(rows, key=lambda row: (round(row[by], 9), row["condition"]))
 
 
 def ties(rows: list[Record], by: str) -> list[list[Record]]:
     """Return the groups of rows whose figures agree to 1e-6, in order; infinite ones left out."""
     groups: list[list[Record]] = []
-    for row in (row for row in rows if np.isfinite(row[by])):
-        if groups and abs(row[by] - groups[-1][0][by]) <= 1e-6 * row[by]:
-            groups[-1].append(row)
-        else:
-            groups.append([row])
+    for row in rows:
+        if not groups or not abs(row[by] - groups[-1][0][by]) <= 1e-6 * groups[-1][0][by]:
+            groups.append([])
+        groups[-1].append(row)
     return [group for group in groups if len(group) > 1]
 
 
@@ -230,14 +227,12 @@ def rounding_range(matrix: npt.ArrayLike) -> RoundingRange:
 def shared_gauge_disagreement() -> dict[str, float]:
     """Return per gauge of several cases the difference of its rows, relative to the longest of them. The same gauge on
     the same body must have one row; the largest entry of the difference counts."""
-    rows = {
-        case: dict(zip(LAYOUTS[case], np.linalg.inv(np.array(MEASURED_MATRICES[case])), strict=True)) for case in CASES
-    }
-    result = {}
-    for point in ("S_H", "L", "U"):
-        gauge_rows = np.array([rows[case][point] for case in CASES if point in rows[case]])
-        result[point] = float(np.ptp(gauge_rows, axis=0).max() / np.abs(gauge_rows).max())
-    return result
+    rows: dict[str, list[FloatArray]] = {"S_H": [], "L": [], "U": []}
+    for case in CASES:
+        for point, row in zip(LAYOUTS[case], np.linalg.inv(np.array(MEASURED_MATRICES[case])), strict=True):
+            rows.setdefault(point, []).append(row)
+    shared = {point: np.array(of_point) for point, of_point in rows.items() if len(of_point) > 1}
+    return {point: float(np.ptp(each, axis=0).max() / np.abs(each).max()) for point, each in shared.items()}
 
 
 def nearest_common_shifts(

@@ -1,8 +1,7 @@
-"""Impact of a body on the tip, or of the finger on a stop: contact force, contact times, and the gauges' readings.
-Linear contact: exact, each phase a linear system (switched.py). Hertzian contact: scipy's DOP853 in contact, matrix
-exponentials in free flight. Contact starts at time 0, may open and close again, and is lossless. States: omega q and q'
-of every mode (mass-normalised), overlap and speed of the body, the load and its rate, and a constant, scaled so that
-energy is half the sum of their squares: without damping and load the matrix is skew-symmetric.
+"""Impact of a body on the tip, or of the finger on a stop: contact force and times, and the gauges' readings. Linear
+contact is exact (switched.py), Hertzian contact scipy's DOP853; it starts at time 0, may open and close again, and is
+lossless. States: omega q and q' of every mode (mass-normalised), overlap and speed of the body, the load and its rate,
+and a constant, scaled so that energy is half the sum of their squares.
 """
 
 from __future__ import annotations
@@ -143,8 +142,7 @@ class Impact(NamedTuple):
 def impact(
     modes: Modes | None, striker: Striker, until_s: float, times_s: npt.ArrayLike = (), slit: SlitStop | None = None
 ) -> Impact:
-    """Return the course of an impact that starts at 0, structure at rest. modes: None is rigid ground. times_s: (m,)
-    rising, from 0 to until_s.
+    """Return the course of an impact, structure at rest at 0. modes: None is rigid ground. times_s: (m,), 0 to until_s.
 
     Raises InputError for times out of range, too many steps, a Hertzian contact with a slit; EnvironmentLackError for a
     Hertzian contact without scipy.
@@ -163,8 +161,8 @@ def impact(
     assembly = Assembly(modes, striker, slit)
     march, samples = March(assembly.system, assembly.start()), list[_Sample]()
     march.close(0)
-    for time_s in t:
-        march.advance(float(time_s))
+    for time_s in t.tolist():
+        march.advance(time_s)
         samples.append(_sample(assembly, march))
     march.advance(until_s)
     return assembly.impact(march.state, march.finish(), samples)

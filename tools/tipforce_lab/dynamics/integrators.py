@@ -1,7 +1,6 @@
 """Integrators of other kinds, for comparison only: all other modules use first_order_hold.py; and the error of none.
-All have the same problem, load and times, and return the elastic force (m, 3) at the times (m,). None uses the
-linearity between events; a contact is a force that is 0 while open. Values that grow without bound are returned as
-infinite or NaN: an unstable run is a valid result. closed_form() is their reference.
+All return the elastic force (m, 3) at the times (m,), infinite or NaN where a run is unstable. None uses the linearity
+between events; a contact is a force that is 0 while open. closed_form() is their reference.
 """
 
 import math

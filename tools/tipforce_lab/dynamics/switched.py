@@ -7,10 +7,8 @@ state after any time is a matrix exponential. An event is a closing, or the end 
 Steps are short relative to the fastest oscillation and to the time since the last disturbance (a fast decay matters
 only then), and turning points between steps are checked, so that a graze is found.
 
-The slit (plane_frame.py) as a stop: an overload closes it, and the structure is stiffer from there. How far it has
-closed is a cubic along each arm; the stop has as many contact points there as bring the load of first contact, in every
-direction, within two per cent of the true one. The arm yields where it is pressed, as a beam with held ends. The force
-between tip and arm is an inner one: fixture and vertical beam feel the applied force alone."""
+The slit (plane_frame.py) as a stop: an overload closes it, and the structure is stiffer from there. The arm yields
+where it is pressed, as a beam with held ends; fixture and vertical beam feel the applied force alone."""
 
 import math
 from dataclasses import dataclass, field
@@ -163,8 +161,7 @@ class March:
         poles = np.linalg.eigvals(A)
         fastest, turning = float(np.abs(poles).max()), float(np.abs(poles.imag).max())
         finest, coarsest = (_RADIANS_PER_STEP / pole if pole > 0.0 else math.inf for pole in (fastest, turning))
-        regime = self._regimes[self._closed] = _Regime(A, finest, coarsest, {}, forces, violation)
-        return regime
+        return self._regimes.setdefault(self._closed, _Regime(A, finest, coarsest, {}, forces, violation))
 
     def _first_event(self, regime: _Regime, h: float, after: FloatArray) -> tuple[float, int] | None:
         now, then = regime.violation @ self.state, regime.violation @ after
@@ -190,9 +187,8 @@ class March:
 
     def _note_peaks(self, regime: _Regime, h: float, after: FloatArray) -> None:
         for j in self._closed:
-            row = regime.forces[j]
+            row, tau = regime.forces[j], h
             slope = row @ regime.A
-            tau = h
             if slope @ self.state > 0.0 > slope @ after:
                 tau = _root(regime.A, self.state, -slope, 0.0, h)
             force = float(row @ (after if tau == h else _moved(regime.A, self.state, tau)))
@@ -225,10 +221,7 @@ def _root(A: FloatArray, state: FloatArray, row: FloatArray, low: float, high: f
         value, rate = float(row @ moved), float(slope @ moved)
         if abs(value) <= _ROUNDING * float(size @ np.abs(moved)):
             return tau
-        if value > 0.0:
-            high = tau
-        else:
-            low = tau
+        low, high = (low, tau) if value > 0.0 else (tau, high)
         better = tau - value / rate if rate > 0.0 else math.nan
         if not low < better < high:
             better = 0.5 * (low + high)

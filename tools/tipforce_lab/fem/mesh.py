@@ -1,8 +1,7 @@
 """The outline of the fingertip body (assumed: the paper does not state that of figure 2) and its triangles: a grid of
 lines mapped to the body's shape. x to the right, y away from the fixture, the origin in the middle of the horizontal
 beam, symmetric about x = 0. Around a re-entrant corner the cells form rings, ring k of m as far from the corner as (k /
-m)^grading: cells shrink equally in both directions, none becomes long and thin. The topology is unchanged, so a graded
-mesh has as many unknowns as the uniform one (grading = 1), and that of 2 n contains the nodes of that of n.
+m)^grading. A graded mesh has as many unknowns as the uniform one (grading = 1), and that of 2 n the nodes of that of n.
 """
 
 import math
@@ -48,11 +47,10 @@ class Rectangle(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """The body's cross-section.
+    """The body's cross-section: a slit of constant width separates the horizontal beam from the tip, whose legs hold
+    the beam at its ends; above vertical sides the tip is bounded by an arc around the origin.
 
-    Raises InputError, naming the field, for a body that cannot be built or meshed. A slit of constant width separates
-    the horizontal beam from the tip, whose legs hold the beam at its ends. Above vertical sides the tip is bounded by
-    an arc around the origin.
+    Raises InputError, naming the field, for a body that cannot be built or meshed.
     """
 
     geometry: Geometry = FABRICATED
@@ -226,15 +224,11 @@ def triangulate(outline: Outline, resolution: Resolution) -> Triangles:
     right = np.broadcast_to((0.5 * (xs[1:] + xs[:-1]) > 0.0)[:, np.newaxis], solid.shape)
     # Each cell is cut by one diagonal, mirrored left of x = 0.
     rising, falling = solid & right, solid & ~right
-    triangles = np.concatenate(
-        [
-            np.stack([low_left[rising], low_right[rising], up_right[rising]]),
-            np.stack([low_left[rising], up_right[rising], up_left[rising]]),
-            np.stack([low_left[falling], low_right[falling], up_left[falling]]),
-            np.stack([low_right[falling], up_right[falling], up_left[falling]]),
-        ],
-        axis=1,
-    )
+    halves = (
+        (rising, low_left, low_right, up_right), (rising, low_left, up_right, up_left),
+        (falling, low_left, low_right, up_left), (falling, low_right, up_right, up_left),
+    )  # fmt: skip
+    triangles = np.concatenate([np.stack([corner[cells] for corner in three]) for cells, *three in halves], axis=1)
     used, corners = np.unique(triangles, return_inverse=True)
     points = np.ascontiguousarray(_bent(outline, resolution, grid)[:, used])
     return Triangles(points, np.ascontiguousarray(corners.reshape(triangles.shape), dtype=np.int64))
@@ -254,23 +248,17 @@ def _from_corner(corner: float, sign: float, radius: float, reach: float, n: int
     return blocks
 
 
-def _to_corner(corner: float, sign: float, radius: float, reach: float, n: int) -> list[FloatArray]:
-    return [block[::-1] for block in reversed(_from_corner(corner, sign, radius, reach, n))]
+def _to_corner(corner: float, radius: float, reach: float, n: int) -> list[FloatArray]:
+    return [block[::-1] for block in reversed(_from_corner(corner, -1.0, radius, reach, n))]
 
 
 def _x_lines(outline: Outline, resolution: Resolution) -> FloatArray:
     g, n, half_h2 = outline.geometry, resolution.cells, 0.5 * outline.geometry.h2_m
     inner = _from_corner(half_h2, 1.0, outline.fillet_m, outline.fillet_m + NEAR_M, n)
-    outer = _to_corner(g.a_m, -1.0, outline.slit_fillet_m, outline.slit_fillet_m + NEAR_M, n)
-    right = _joined(
-        [
-            np.linspace(0.0, half_h2, RINGS * n + 1),
-            *inner,
-            *_middle(float(inner[-1][-1]), float(outer[0][0]), outline.fixture_half_width_m, n),
-            *outer,
-            *_from_corner(g.a_m, 1.0, 0.0, outline.leg_m, n),
-        ]
-    )
+    outer = _to_corner(g.a_m, outline.slit_fillet_m, outline.slit_fillet_m + NEAR_M, n)
+    middle = _middle(float(inner[-1][-1]), float(outer[0][0]), outline.fixture_half_width_m, n)
+    leg = _from_corner(g.a_m, 1.0, 0.0, outline.leg_m, n)
+    right = _joined([np.linspace(0.0, half_h2, RINGS * n + 1), *inner, *middle, *outer, *leg])
     return np.concatenate([-right[:0:-1], right])
 
 
@@ -284,27 +272,19 @@ def _y_lines(outline: Outline, resolution: Resolution) -> tuple[FloatArray, int]
     """Return the lines, and the number of cells below the tip. In the tip heights are those at x = a."""
     g, n, fillet, foot = outline.geometry, resolution.cells, outline.fillet_m, outline.foot_m
     half_h1, bottom, depth = 0.5 * g.h1_m, outline.tip_bottom_m, outline.fixture_depth_m
-    near_joint = _to_corner(-half_h1, -1.0, fillet, fillet + NEAR_M, n)
+    near_joint = _to_corner(-half_h1, fillet, fillet + NEAR_M, n)
     near_foot = _from_corner(foot, 1.0, fillet, fillet + NEAR_M, n)
     start, end = float(near_foot[-1][-1]), float(near_joint[0][0])
     leg_end = -half_h1 - outline.leg_below_m if outline.leg_below_m > 0.0 else 0.5 * (start + end)
     middle_of_slit = half_h1 + 0.5 * outline.slit_m
     slit_lower = _from_corner(half_h1, 1.0, outline.slit_fillet_m, 0.5 * outline.slit_m, n)
-    slit_upper = _to_corner(bottom, -1.0, outline.slit_fillet_m, 0.5 * outline.slit_m, n)
+    slit_upper = _to_corner(bottom, outline.slit_fillet_m, 0.5 * outline.slit_m, n)
     # Both halves end at the same rounded number.
     slit_lower[-1][-1] = slit_upper[0][0] = middle_of_slit
-    lines = _joined(
-        [
-            *(_to_corner(foot, -1.0, 0.0, depth, n) if depth > 0.0 else []),
-            *near_foot,
-            *_middle(start, end, leg_end, n),
-            *near_joint,
-            np.linspace(-half_h1, 0.0, RINGS * n + 1),
-            np.linspace(0.0, half_h1, RINGS * n + 1),
-            *slit_lower,
-            *slit_upper,
-        ]
-    )
+    below = _to_corner(foot, 0.0, depth, n) if depth > 0.0 else []
+    beam = [np.linspace(*ends, RINGS * n + 1) for ends in ((-half_h1, 0.0), (0.0, half_h1))]
+    stem = [*near_foot, *_middle(start, end, leg_end, n), *near_joint]
+    lines = _joined([*below, *stem, *beam, *slit_lower, *slit_upper])
     height = float(outline.tip_top_m(g.a_m)) - bottom
     tip = _joined(_from_corner(bottom, 1.0, 0.0, height, n))
     return np.concatenate([lines, tip[1:]]), len(lines) - 1

@@ -210,19 +210,17 @@ def face(solution: Solution, gauge: GaugePosition) -> Face:
     chosen = np.flatnonzero(on_line & (middles[along] > low - slack) & (middles[along] < high + slack))
     chosen = chosen[np.argsort(middles[along, chosen])]
     first, middle, last = (motion[along][chosen] for motion in solution.face_motion)
-    backwards = starts[along, chosen] > ends[along, chosen]
-    first, last = np.where(backwards[:, np.newaxis], last, first), np.where(backwards[:, np.newaxis], first, last)
-    left = np.minimum(starts[along, chosen], ends[along, chosen])
-    right = np.maximum(starts[along, chosen], ends[along, chosen])
+    left, right = starts[along, chosen], ends[along, chosen]
+    backwards = left > right
+    first, last = np.where(backwards[:, np.newaxis], (last, first), (first, last))
+    left, right = np.where(backwards, (right, left), (left, right))
     return Face(np.append(left, right[-1]), np.concatenate([first, last[-1:]]), middle)
 
 
 def strain_matrix(solution: Solution, gauges: Sequence[Gauge], gauge_length_m: float = GAUGE_LENGTH_M) -> FloatArray:
-    """Return the strain per newton of F, shape (n, 3), tension positive, averaged over the length of each gauge.
-    gauges: positions of their middles, or points of Table 1, replaced by nearest_place().
-
-    At a point (length 0) strain converges away from corners only. Raises InputError for a gauge that reaches beyond its
-    face.
+    """Return the strain per newton of F, (n, 3), tension positive, averaged over the length of each gauge; at a point
+    (length 0) it converges away from corners only. gauges: positions of their middles, or points of Table 1, replaced
+    by nearest_place(). Raises InputError for a gauge that reaches beyond its face.
     """
     if not 0.0 <= gauge_length_m < np.inf:
         raise InputError(f"gauge_length_m = {gauge_length_m!r}: allowed is 0 (a point) or more, finite")
@@ -231,11 +229,8 @@ def strain_matrix(solution: Solution, gauges: Sequence[Gauge], gauge_length_m: f
 
 
 def nearest_place(outline: Outline, point: str, gauge_length_m: float = GAUGE_LENGTH_M) -> GaugePosition:
-    """Return the nearest position of a gauge to a point of Table 1: half its length from the end of the beam, from the
-    side of the joint (which has no width in Table 1), from the leg at L and R, or from the fillet there.
-
-    Raises InputError for an unknown point.
-    """
+    """Return the nearest position of a gauge to a point of Table 1: half its length from the beam's end, the joint's
+    side (which has no width in Table 1), the leg at L and R, or the fillet. Raises InputError for an unknown point."""
     spot, g = place(outline.geometry, point), outline.geometry
     fillet = outline.fillet_m
     if point in ("L", "R"):

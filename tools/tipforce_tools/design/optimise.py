@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _limits(args: argparse.Namespace) -> Limits:
-    from tipforce_lab.design.merit import Limits, LoadSet
+    from tipforce_lab.design.merit import Limits
 
     try:
         x_mm, y_mm = (float(part) for part in args.envelope.split(","))
@@ -87,7 +87,7 @@ def _limits(args: argparse.Namespace) -> Limits:
         min_thickness_m=args.min_h * 1e-3,
         gauge_length_m=args.gauge_length * 1e-3,
         slit_m=args.slit * 1e-3,
-        loads=LoadSet(args.load),
+        load_newtons=args.load,
         max_stress_pascals=None if args.max_stress is None else args.max_stress * 1e6,
     )
 

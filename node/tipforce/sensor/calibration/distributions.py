@@ -1,6 +1,5 @@
 """Quantiles of Student's t and Fisher's F, from the incomplete beta function: no scipy is needed for an interval."""
 
-from collections.abc import Callable
 from functools import lru_cache
 from math import exp, inf, isinf, lgamma, log, log1p, sqrt
 from statistics import NormalDist
@@ -34,28 +33,21 @@ def t_quantile(probability: float, dof: float) -> float:
 @lru_cache(maxsize=256)  # one fit asks for the same few again and again
 def f_quantile(probability: float, dof_1: float, dof_2: float) -> float:
     """Return x with P(F < x) = probability, 0 < probability < 1, for finite degrees of freedom above 0."""
-    tail = 1.0 - probability
-    return _root(lambda x: _beta(dof_2 / (dof_2 + dof_1 * x), 0.5 * dof_2, 0.5 * dof_1) - tail)
 
+    def is_below(exponent: float) -> bool:
+        return _beta(dof_2 / (dof_2 + dof_1 * exp(exponent)), 0.5 * dof_2, 0.5 * dof_1) - (1.0 - probability) > 0.0
 
-def _root(falling: Callable[[float], float]) -> float:
-    """Where a function that falls from above to below zero on (0, inf) crosses it, by bisection of the exponent."""
     low, high = log(1e-12), log(1e12)
-    if falling(exp(high)) > 0.0:
+    if is_below(high):
         return inf
     for _ in range(40):
         middle = 0.5 * (low + high)
-        if falling(exp(middle)) > 0.0:
-            low = middle
-        else:
-            high = middle
+        low, high = (middle, high) if is_below(middle) else (low, middle)
     return exp(0.5 * (low + high))
 
 
 def _beta(x: float, a: float, b: float) -> float:
-    """Regularised incomplete beta function I_x(a, b) for 0 <= x <= 1 (NIST DLMF 8.17.22, modified Lentz)."""
-    if x <= 0.0:
-        return 0.0
+    """Regularised incomplete beta function I_x(a, b) for 0 < x <= 1 (NIST DLMF 8.17.22, modified Lentz)."""
     if x >= 1.0:
         return 1.0
     if x > (a + 1.0) / (a + b + 2.0):

@@ -1,7 +1,5 @@
 """Calibration: from readings under known loads to C, its offsets and its uncertainty. The gauges are the noisy side: V
-= A F + b is fitted, then inverted (the paper fits F = C V). Loads of uncertain direction weigh less, tares carry the
-drift, odd rows and saturated readings are left out, and what the rows cannot show is refused by name.
-"""
+= A F + b is fitted, then inverted (the paper fits F = C V)."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -55,22 +53,20 @@ def _with_gain(readings: Readings, model: Model) -> Fit:
         return fit
     low, high, n = float(T.min()), float(T.max()), readings.strain.shape[1]
     if not change.any():
-        unknown = np.full(n, np.nan)
-        none = Temperature(low, low, high, np.zeros(n), unknown, False, 0.0, float("nan"), False)
+        none = Temperature(low, low, high, np.zeros(n), np.full(n, np.nan), False, 0.0, float("nan"), False)
         return replace(fit, temperature=none)
-    fitted_gain = False
     for _ in range(MAX_GAIN_PASSES):
         more, u = statistics.gain_of(problem, solution, change)
         significant = abs(gain + more) > u * statistics.factor(fit.dof, statistics.CHANCE)
         if not significant or abs(more) < 0.01 * u:
             break
-        gain, fitted_gain = gain + more, True
+        gain += more
         fit, problem, solution = _fitted(readings, model, gain)
     offsets, u_offsets = statistics.offsets_of(problem, solution, change)
     k = statistics.factor(fit.dof)
     shown = Temperature(
         statistics.reference_temperature_degC(T), low, high, offsets, k * u_offsets, model.temperature,
-        gain if fitted_gain else more, k * u, fitted_gain,
+        gain or more, k * u, gain != 0.0,
     )  # fmt: skip
     return replace(fit, temperature=shown)
 
@@ -105,8 +101,8 @@ def _fitted(readings: Readings, model: Model, gain_per_K: float) -> tuple[Fit, P
         spread = np.sqrt(np.diagonal(solution.R, axis1=1, axis2=2))
         near = ~saturated & (np.abs(V - solution.residual) + MARGIN * spread >= limit)
         near = near | near_before if count >= SETTLING_PASSES else near
-        if np.array_equal(near, near_before) and (np.array_equal(outlier, before) or not robust):
-            settled = True
+        settled = np.array_equal(near, near_before) and (np.array_equal(outlier, before) or not robust)
+        if settled:
             break
     assert solution is not None
     fit = statistics.result(readings, model, problem, solution, outlier, saturated, near)
@@ -198,21 +194,16 @@ SMALLEST_SPAN_K = 0.5
 def best_fit(
     readings: Readings, model: Model, drifts: Sequence[str] | None = None
 ) -> tuple[Fit, Model, dict[str, float]]:
-    """Return the fit of the drift with the best hold-out score, its model, and the scores by name.
-
-    ``drifts``: by default those that the times allow; each also with a temperature coefficient where temperatures
-    change. Raises as fit_calibration().
-    """
+    """Return the fit of the drift with the best hold-out score, its model, and the scores by name. drifts: by default
+    what the times allow, each also with a coefficient of temperatures that change. Raises as fit_calibration()."""
     fits: dict[str, tuple[Fit, Model]] = {}
     refused: InputError | None = None
+    T, t = readings.temperature_degC, readings.t_s
     if drifts is None:
-        drifts, t = ["none"], readings.t_s
-        if model.offset and t is not None:
-            if np.ptp(t) > 0.0:
-                drifts.append("linear")
-            if len(regressors.tare_groups(np.asarray(readings.P_newtons) == 0.0, np.ones(len(t), dtype=np.bool_))) > 2:
-                drifts.append("tare")
-    T = readings.temperature_degC
+        drifts, timed = ["none"], t is not None and model.offset
+        drifts += ["linear"] if timed and np.ptp(t) > 0.0 else []  # type: ignore[arg-type]
+        tares = np.asarray(readings.P_newtons) == 0.0
+        drifts += ["tare"] if timed and len(regressors.tare_groups(tares, np.ones_like(tares))) > 2 else []
     warms = model.offset and T is not None and np.isfinite(T).all() and np.ptp(T) >= SMALLEST_SPAN_K
     for drift in drifts:
         for warm in (False, True) if warms else (False,):

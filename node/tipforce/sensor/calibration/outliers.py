@@ -65,10 +65,9 @@ def noise_dof(problem: Problem, solution: Solution) -> FloatArray:
 
 def suspects(problem: Problem) -> BoolArray:
     """Return which complete rows least trimmed squares finds too far off, (m,); none where too few are left to trim."""
-    m, n = problem.V.shape
+    (m, n), p = problem.V.shape, problem.g.shape[1]
     none = np.zeros(m, dtype=np.bool_)
     rows = np.flatnonzero(problem.observed.all(axis=1))
-    p = problem.g.shape[1]
     kept = int(np.ceil(KEPT_SHARE * rows.size))
     if kept < 2 * p + 2:
         return none
@@ -95,11 +94,10 @@ def _least_trimmed(g: FloatArray, V: FloatArray, kept: int) -> FloatArray:
     chosen = np.argsort(rng.random((TRIALS, m)), axis=1)[:, :size]
     for step in range(FIRST_STEPS + LAST_STEPS):
         beta, squares = _fitted(g, V, chosen)
-        order = np.argsort(squares, axis=1)[:, :kept]
+        chosen = np.argsort(squares, axis=1)[:, :kept]
         if step == FIRST_STEPS:
-            objective = np.take_along_axis(squares, order, axis=1).sum(axis=1)
-            order = order[np.argsort(objective)[:BEST]]
-        chosen = order
+            objective = np.take_along_axis(squares, chosen, axis=1).sum(axis=1)
+            chosen = chosen[np.argsort(objective)[:BEST]]
     beta, squares = _fitted(g, V, chosen)
     objective = np.sort(squares, axis=1)[:, :kept].sum(axis=1)
     best: FloatArray = beta[int(np.argmin(objective))]

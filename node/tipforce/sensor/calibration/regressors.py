@@ -1,8 +1,8 @@
-"""What a calibration fit regresses on: the offset and its drift, the scatter of load directions. And what its rows
-cannot show of that: directions of load or offset that they leave open, in words and numbers."""
+"""What a fit regresses on: offset, drift, scatter of load directions; and what its rows leave open, in words."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -77,17 +77,8 @@ def grooves(phi_rad: FloatArray, theta_rad: FloatArray) -> IntArray:
 
 def tare_groups(unloaded: BoolArray, usable: BoolArray) -> list[list[int]]:
     """Return the usable unloaded rows, those with no usable load between them together."""
-    groups: list[list[int]] = []
-    after_load = True
-    for row in np.flatnonzero(usable):
-        if not unloaded[row]:
-            after_load = True
-        elif after_load:
-            groups.append([int(row)])
-            after_load = False
-        else:
-            groups[-1].append(int(row))
-    return groups
+    rows = np.flatnonzero(usable).tolist()
+    return [list(group) for tare, group in itertools.groupby(rows, lambda row: bool(unloaded[row])) if tare]
 
 
 def offset_basis(
@@ -199,8 +190,7 @@ def require_clear(coefficients: FloatArray, covariance: FloatArray, names: Seque
                 f"SG{k + 1}: one direction is lost in the noise (standard uncertainty {spread / signal:.0%} of the "
                 f"strongest gauge's signal, allowed {LARGEST_SHARE:.0%}): {place}"
             )
-    for k in range(n):
-        size = float(np.linalg.norm(coefficients[k, :3]))
+    for k, size in enumerate(np.linalg.norm(coefficients[:, :3], axis=1).tolist()):
         noise = float(np.sqrt(max(np.trace(covariance[k, :3, k, :3]), 0.0)))
         if size <= max(3.0 * noise, 1e-9 * signal):
             raise InputError(
@@ -211,7 +201,7 @@ def require_clear(coefficients: FloatArray, covariance: FloatArray, names: Seque
     weakest = forces[-1]
     noise = np.sqrt(max(float(np.einsum("j,kjkl,l->", weakest, covariance[:, :3, :, :3], weakest)), 0.0))
     if strength[-1] <= max(3.0 * noise, 1e-9 * strength[0]):
-        direction = _sum(weakest / weakest[np.argmax(np.abs(weakest))], FORCES)
+        direction = _sum(weakest / weakest[np.argmax(np.abs(weakest))])
         raise InputError(
             f"the {n} gauges together do not respond to a load along {direction} (singular values of A "
             f"{_numbers(strength / strength[0])}, relative): one gauge doubles the others"
@@ -246,7 +236,7 @@ def _sentence(entries: dict[str, float], unit_newtons: float, snap: float) -> st
     if not force.any():
         return "no row counts for the offset: add tare rows (unloaded readings)"
     lead = force[np.flatnonzero(force)[0]]
-    along = _sum(force / lead, FORCES)
+    along = _sum(force / lead)
     value = -constant / lead
     example = (
         "a pull at phi = 90 degrees",
@@ -261,9 +251,9 @@ def _sentence(entries: dict[str, float], unit_newtons: float, snap: float) -> st
     )
 
 
-def _sum(coefficients: FloatArray, names: Sequence[str]) -> str:
+def _sum(coefficients: FloatArray) -> str:
     text = ""
-    for value, name in zip(coefficients, names, strict=True):
+    for value, name in zip(coefficients, FORCES, strict=True):
         if abs(value) > 1e-9:
             size = "" if abs(abs(value) - 1.0) < 5e-4 else f"{abs(value):.3g} "
             sign = (" - " if value < 0 else " + ") if text else ("-" if value < 0 else "")

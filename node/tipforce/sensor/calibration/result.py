@@ -1,7 +1,5 @@
 """What a calibration fit hands back: the matrix, its uncertainty, and what speaks for or against it. ``rounded`` takes
-off digits that say nothing, so that equal data give equal calibrations on every machine but once in a million values:
-nine are finer than the node's REAL32 (seven) and what a good calibration knows (four).
-"""
+off digits that say nothing: equal data then give equal calibrations on every machine but once in a million values."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -157,11 +155,11 @@ def covariance_of_estimate(
     *,
     offset_known: bool = False,
 ) -> FloatArray:
-    """Return C (Sigma_V + Q(F)) C^T (..., 3, 3), the covariance of F = C (V - b), N^2: gauge noise and calibration.
+    """Return C (Sigma_V + Q(F)) C^T (..., 3, 3), the covariance of F = C (V - b), N^2: Q(F)_kl = G^T cov(row k, row l)
+    G, G = (F, 1); offset_known: after a tare the 1 drops out (its own noise belongs into noise_covariance).
 
-    C: (3, n). noise_covariance: (n, n), strain^2. parameter_covariance: (n, 4, n, 4). F: (..., 3). Q(F)_kl = G^T
-    cov(row k, row l) G, G = (F, 1). offset_known: after a tare the 1 drops out (its own noise belongs into
-    noise_covariance). Raises InputError for other shapes.
+    C: (3, n). noise_covariance: (n, n), strain^2. parameter_covariance: (n, 4, n, 4). F: (..., 3). Raises InputError
+    for other shapes.
     """
     matrix, F = floats("C", C), floats("F", F_newtons)
     n = matrix.shape[-1]
@@ -199,6 +197,7 @@ def kronecker(residual_covariance: npt.ArrayLike, N: npt.ArrayLike) -> FloatArra
 
 
 DIGITS = 9
+"""Finer than the node's REAL32 (seven) and what a good calibration knows (four)."""
 
 
 def to_digits(values: npt.ArrayLike, digits: int = DIGITS, scale: float = 0.0) -> FloatArray:

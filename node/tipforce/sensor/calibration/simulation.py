@@ -52,7 +52,7 @@ class Faults:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Simulated:
-    """Readings of m rows as a person would have them, and the truth that he does not have."""
+    """Readings of m rows, and the truth."""
 
     strain: FloatArray
     """(m, n), clipped at the converter's limit."""
@@ -66,8 +66,6 @@ class Simulated:
     true_offset_strain: FloatArray
     """(m, n): at each row."""
     true_outlier: BoolArray
-    clean_strain: FloatArray
-    """(m, n): what the written-down loads would give with no fault and no noise."""
     faults: Faults
 
 
@@ -110,7 +108,7 @@ def simulate(
     strain[jumps, rng.integers(n, size=m)[jumps]] += (rng.choice([-1, 1], m) * rng.uniform(50e-6, 500e-6, m))[jumps]
     if limit is not None:
         strain = np.clip(strain, -limit, limit)
-    return Simulated(strain, P, phi, theta, t_s, limit, A, offset, outlier, clean, faults)
+    return Simulated(strain, P, phi, theta, t_s, limit, A, offset, outlier, faults)
 
 
 def unseen_forces(rng: np.random.Generator, count: int) -> FloatArray:
@@ -122,11 +120,8 @@ def unseen_forces(rng: np.random.Generator, count: int) -> FloatArray:
 
 def schedule(rng: np.random.Generator, weights_newtons: tuple[float, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return P (newtons), phi, theta (radians), (m,) each: all weights in each groove of the paper, tares between."""
-    rows: list[tuple[float, float, float]] = []
-    paper = paper_grooves()
-    for phi, theta in rng.permutation(np.stack((paper.phi_rad, paper.theta_rad), axis=-1)):
-        rows.append((0.0, 0.0, 0.0))
-        rows.extend((weight, phi, theta) for weight in weights_newtons)
-    rows.append((0.0, 0.0, 0.0))
-    P, phi_column, theta_column = np.array(rows).T
-    return P, phi_column, theta_column
+    tare, paper = (0.0, 0.0, 0.0), paper_grooves()
+    places = rng.permutation(np.stack((paper.phi_rad, paper.theta_rad), axis=-1))
+    rows = [row for place in places for row in (tare, *((weight, *place) for weight in weights_newtons))]
+    P, phi, theta = np.array([*rows, tare]).T
+    return P, phi, theta

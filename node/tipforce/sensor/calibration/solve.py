@@ -139,11 +139,8 @@ def _kink_variance_of(problem: Problem, solution: Solution) -> FloatArray:
 
 
 def _noise_of(problem: Problem, solution: Solution) -> FloatArray:
-    """One step of expectation-maximisation for the gauge noise, restricted likelihood, readings left out imputed.
-
-    The load-direction part of a residual is taken off by its expectation; e e^T + H undoes what the fit has absorbed.
-    Without direction scatter its fixed point is the sum of e e^T over (rows - unknowns).
-    """
+    """One step of expectation-maximisation for the gauge noise, restricted likelihood, readings left out imputed: e e^T
+    + H undoes what the fit has absorbed. Without direction scatter it ends at the sum of e e^T / (rows - unknowns)."""
     used = problem.observed.any(axis=1)
     row_noise = solution.Sigma / problem.weight[:, np.newaxis, np.newaxis]
     gain = row_noise @ solution.R_inverse
@@ -163,11 +160,9 @@ def _longer(before: FloatArray, after: FloatArray) -> FloatArray:
 def _loss_weights(distance: FloatArray, loss: str, cut: float) -> FloatArray:
     """Return the weight of each row, (m,), from its squared distance in standard deviations: 1 near 0."""
     d = np.sqrt(np.maximum(distance, 0.0)) / cut
-    if loss == "huber":
-        return 1.0 / np.maximum(d, 1.0)
-    if loss == "soft_l1":
-        return 1.0 / np.sqrt(1.0 + d * d)
-    return np.ones_like(d)
+    if loss == "none":
+        return np.ones_like(d)
+    return 1.0 / (np.maximum(d, 1.0) if loss == "huber" else np.sqrt(1.0 + d * d))
 
 
 MAX_STEPS, BOLD_STEPS = 300, 25
@@ -185,14 +180,12 @@ def solve(problem: Problem, loss: str, cut: float, start: Solution | None = None
     scatter = (Scatter(1.0, START_HANG) if start is None else start.scatter) if problem.D.any() else Scatter(0.0, 0.0)
     scatter = scatter if problem.scatter is None else problem.scatter
     u = np.ones(len(problem.V))
-    converged = False
     for count in range(MAX_STEPS):
         calm = count >= BOLD_STEPS
         solution = _step(problem, A, Sigma, restless, scatter, u)
         change = np.abs(solution.coefficients[:, :3] - A).max() / max(np.abs(A).max(), 1e-300)
         A = solution.coefficients[:, :3]
-        weights = _loss_weights(solution.distance, loss, cut)
-        weights = u if calm else weights
+        weights = u if calm else _loss_weights(solution.distance, loss, cut)
         change = max(change, 0.01 * float(np.abs(weights - u).max()))
         u = weights
         restless = _kink_variance_of(problem, solution)
@@ -210,9 +203,8 @@ def solve(problem: Problem, loss: str, cut: float, start: Solution | None = None
             Sigma, moved = after if calm else _longer(Sigma, after), Sigma
             change = max(change, 0.01 * float(np.abs(Sigma - moved).max() / np.abs(Sigma).max()))
         if change < TOLERANCE:
-            converged = True
             break
-    return solution._replace(converged=converged)
+    return solution._replace(converged=bool(change < TOLERANCE))
 
 
 class Extra(NamedTuple):
@@ -227,8 +219,8 @@ class Extra(NamedTuple):
 
 
 def extra(problem: Problem, solution: Solution, columns: FloatArray) -> Extra:
-    """Return coefficients of further columns (m, n, k), strain per unit of each, by the noise that the fit has found.
-    Raises LinAlgError where the rows do not determine them."""
+    """Return coefficients of further columns (m, n, k), strain per unit of each, by the noise of the fit. Raises
+    LinAlgError where the rows do not determine them."""
     n, p, k = problem.V.shape[1], problem.g.shape[1], columns.shape[2]
     AD = solution.coefficients[:, :3] @ problem.D
     whitener = _whitener(solution.R, problem.observed)

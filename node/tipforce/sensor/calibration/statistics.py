@@ -140,10 +140,10 @@ def _by_load(
 ) -> tuple[LoadResidual, ...]:
     """Residuals of the rows used, by load, unloaded rows first, then as they came."""
     groups: dict[tuple[float, float, float], list[int]] = {}
-    for row in np.flatnonzero(observed.any(axis=1)):
-        P = float(readings.P_newtons[row])
-        load = (P, float(readings.phi_rad[row]), float(readings.theta_rad[row])) if P > 0.0 else (0.0, 0.0, 0.0)
-        groups.setdefault(load, []).append(int(row))
+    given = np.stack((readings.P_newtons, readings.phi_rad, readings.theta_rad), axis=-1).tolist()
+    for row in np.flatnonzero(observed.any(axis=1)).tolist():
+        P, phi, theta = given[row]
+        groups.setdefault((P, phi, theta) if P > 0.0 else (0.0, 0.0, 0.0), []).append(row)
     by_load = []
     for load in sorted(groups, key=lambda load: load[0] > 0.0):
         rows = groups[load]
@@ -187,10 +187,8 @@ def nonlinearity(
     significant = size > n * f_quantile(1.0 - 0.5 * FALSE_ALARM, n, 1e6 if stated else dof)
     u = np.sqrt(np.diagonal(term.covariance))
     factor = t_quantile(0.975, np.inf if stated else dof)
-    relative, strain = 0.0, problem.strain
-    if significant:
-        scaled_C = C * strain / problem.newtons
-        relative = _relative_error(term, scaled_C, odd, largest_newtons / problem.newtons)
+    strain, newtons = problem.strain, problem.newtons
+    relative = _relative_error(term, C * strain / newtons, odd, largest_newtons / newtons) if significant else 0.0
     return Nonlinearity(term.value / strain, factor * u / strain, odd, bool(significant), relative)
 
 
@@ -264,9 +262,9 @@ def redundancy_limit(
 ) -> float:
     """Return the limit of chi-square (2116h) for one false alarm in a million samples; 0 for three gauges.
 
-    A: (n, 3), strain per newton; Sigma: (n, n), of one reading, known with ``dof`` degrees of freedom (Hotelling),
-    widened in the record by variance_factors(); parameter_covariance: (n, 4, n, 4), at the worst load up to
-    ``largest_newtons``. Raises InputError for a covariance that is not positive definite, or dof of n - 2 or less.
+    A: (n, 3), strain per newton; Sigma: (n, n), of one reading, known with ``dof`` degrees of freedom (Hotelling);
+    parameter_covariance: (n, 4, n, 4), at the worst load up to ``largest_newtons``. Raises InputError for a covariance
+    that is not positive definite, or dof of n - 2 or less.
     """
     n = len(A)
     if n == 3:
@@ -285,8 +283,7 @@ def redundancy_limit(
     kernel = np.einsum("ka,kilj,lb->abij", parity, parameter_covariance, parity)
     added = np.einsum("gi,abij,gj->gab", G, kernel, G)
     widest = float(np.linalg.eigvalsh(0.5 * (added + added.transpose(0, 2, 1)))[:, -1].max())
-    if np.isinf(dof) or dof > 1e6:
-        dof = 1e6
+    dof = min(dof, 1e6)
     chance = f_quantile(1.0 - FALSE_ALARM_RATE, spare, dof - spare + 1.0)
     limit = spare * dof / (dof - spare + 1.0) * chance * (1.0 + max(widest, 0.0))
     return limit / wider

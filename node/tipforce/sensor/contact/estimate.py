@@ -1,7 +1,5 @@
-"""Contacts of many samples: strain to force to contact, uncertainty, status, and where first order holds. The formulas
-of scalar.py, operation by operation, for columns: F1, F2, F3 and the six different elements of the covariance of F,
-each an array of the same shape (or a number). The public functions have them in one array.
-"""
+"""Contacts of many samples: the formulas of scalar.py, operation by operation, for columns: F1, F2, F3 and the six
+different elements of the covariance of F, each an array of the same shape (or a number)."""
 
 from __future__ import annotations
 
@@ -18,11 +16,8 @@ from tipforce.sensor.contact import scalar
 
 
 def force_vector(P_newtons: npt.ArrayLike, phi_rad: npt.ArrayLike, theta_rad: npt.ArrayLike) -> FloatArray:
-    """Return F = (P sin(phi), P sin(phi - theta), P cos(phi)) in newtons, shape (..., 3): equation (16). phi is the
-    direction of the force on the tip, theta the angle of the contact on it, both from the x-axis.
-
-    Raises InputError where the shapes of the three do not broadcast.
-    """
+    """Return F = (P sin(phi), P sin(phi - theta), P cos(phi)), (..., 3), newtons: equation (16). phi: direction of the
+    force on the tip, theta: angle of the contact on it. Raises InputError where the shapes do not broadcast."""
     P, phi, theta = floats("P", P_newtons), floats("phi", phi_rad), floats("theta", theta_rad)
     try:
         P, phi, theta = np.broadcast_arrays(P, phi, theta)
@@ -233,28 +228,16 @@ def status_columns(
 
 
 def contacts(F_newtons: npt.ArrayLike, *, pull: bool) -> Contact:
-    """Return the contacts of forces F of shape (..., 3), newtons: the inverse of equation (16). pull: the load pulls at
-    the surface (a rope), else it pushes (a contact).
-
-    As scalar.contact(). Raises InputError where the last axis is not 3; numbers that are not finite give NaN, never an
-    error.
-    """
+    """Return the contacts of forces (..., 3), newtons, as scalar.contact(): the inverse of equation (16). pull: the
+    load pulls at the surface (a rope), else it pushes (a contact). Raises InputError where the last axis is not 3."""
     return contact_columns(_forces(F_newtons), 1.0 if pull else -1.0)
 
 
-def estimate(
-    C: npt.ArrayLike, strain: npt.ArrayLike, offset_strain: npt.ArrayLike = 0.0, *, pull: bool
-) -> tuple[FloatArray, Contact]:
-    """Return (F, contacts) of gauge readings: force_from_strain(), then contacts()."""
-    F = force_from_strain(C, strain, offset_strain)
-    return F, contacts(F, pull=pull)
-
-
 def standard_uncertainties(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike, *, pull: bool) -> FloatArray:
-    """Return the standard uncertainties of P, phi, theta: shape (..., 3), in newtons, radians, radians.
+    """Return the standard uncertainties of P, phi, theta, (..., 3), N and rad, as scalar.uncertainty(); NaN for numbers
+    that are not finite, and variances below zero.
 
-    F: (..., 3); covariance_F: (3, 3) or (..., 3, 3), symmetric, N^2. As scalar.uncertainty(). Numbers that are not
-    finite, and variances below zero, give NaN. Raises InputError for other shapes.
+    F: (..., 3); covariance_F: (3, 3) or (..., 3, 3), symmetric, N^2. Raises InputError for other shapes.
     """
     u = deviation_columns(_forces(F_newtons), _covariances(covariance_F, F_newtons), 1.0 if pull else -1.0)
     return np.stack(u[:3], axis=-1)
@@ -349,10 +332,8 @@ CURVATURE_LIMIT = 0.25
 
 
 def curvature(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> FloatArray:
-    """Return the change of the first-order slopes of P, phi, theta over one standard uncertainty: (..., 3).
-
-    F: (..., 3) newtons; covariance_F: (3, 3) or (..., 3, 3), N^2. Fractions of the slope, with x = F2 / P = sin(delta)
-    and u(x) its standard uncertainty:
+    """Return the change of the first-order slopes of P, phi, theta over one standard uncertainty, as fractions: (...,
+    3). F: (..., 3) newtons; covariance_F: (3, 3) or (..., 3, 3), N^2. With x = F2 / P = sin(delta):
 
     - P: u_t^2 / (P u(P)), u_t the uncertainty of the force across its own direction: twice the bias of P over u(P).
       Or u(x) / cos^2(delta) if larger: where the line of action may miss by noise, P is projected;

@@ -1,8 +1,7 @@
 """Fault detection with more than three gauges. V = A F + e with the covariance Sigma of e; C = (A^T Q A)^-1 A^T Q, Q =
-Sigma^-1, is the weighted inverse. n - 3 combinations W of the gauges do not depend on the force (parity directions);
-chi-square is |W V|^2. A fault moves W V along its gauge's column of W. Two gauges with parallel columns cannot be
-distinguished: exactly if the other n - 2 have no rank 3. So four gauges isolate no fault, unless only one is visible,
-which then responds to no force. A gauge is invisible if the others have no rank 3: its fault looks like a force.
+Sigma^-1. n - 3 combinations W of the gauges do not depend on the force (parity directions); chi-square is |W V|^2, and
+a fault moves W V along its gauge's column of W. Two gauges with parallel columns cannot be distinguished: exactly if
+the other n - 2 have no rank 3; one is invisible if the others have none: its fault looks like a force.
 """
 
 from dataclasses import dataclass
@@ -57,11 +56,8 @@ def weighted_inverse(A: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> Flo
 
 
 def structure_matrix(C: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> FloatArray:
-    """Return A = Sigma C^T (C Sigma C^T)^-1, (n, 3), strain per newton: the structure as a calibration describes it.
-
-    It inverts weighted_inverse(); for a C (3, n) weighted otherwise it gives some A with C A = I, not the true one.
-    Raises InputError where the shapes do not fit, C has no rank 3, or the covariance is not positive definite.
-    """
+    """Return A = Sigma C^T (C Sigma C^T)^-1, (n, 3), strain per newton: it inverts weighted_inverse(). Raises
+    InputError where the shapes do not fit, C (3, n) has no rank 3, or the covariance is not positive definite."""
     matrix, covariance = _matrix(C), floats("covariance_strain2", covariance_strain2)
     _root(covariance, matrix.shape[1])
     if np.linalg.matrix_rank(matrix) < 3:

@@ -1,7 +1,5 @@
-"""Contact of one sample: force to contact, its uncertainty and its status, with the math module and the MicroPython
-subset alone; estimate.py has the same formulas for arrays. Newtons, and radians unless a name says degrees; NaN or
-infinity in gives NaN out. F1 = P sin(phi), F2 = P sin(phi - theta), F3 = P cos(phi): equation (16).
-"""
+"""Contact of one sample on the MicroPython subset: force to contact, uncertainty, status; estimate.py has arrays. NaN
+or infinity in gives NaN out. F1 = P sin(phi), F2 = P sin(phi - theta), F3 = P cos(phi): equation (16)."""
 
 from math import asin, atan2, frexp, ldexp, pi, sqrt
 
@@ -42,10 +40,9 @@ PAD_SLACK_DEG = 1e-4  # rounding of theta in single precision must not push a co
 
 
 def contact(F1: float, F2: float, F3: float, pull: bool) -> tuple[float, float, float, float]:
-    """Return (P, phi, theta, miss) for one force: newtons, radians, radians, newtons. pull: the load pulls at the
-    surface (a rope), else it pushes: it selects one of the two points where the line of action meets the tip. phi and
-    theta lie in (-pi, pi]; NaN for F1 = F3 = 0. miss is the excess of |F2| over hypot(F1, F3): above 0 the line misses
-    the tip, the contact counts as tangential, P = (hypot + |F2|) / 2. Full precision from 1e-300 to 1e300 N.
+    """Return (P, phi, theta, miss), newtons and radians in (-pi, pi], NaN for F1 = F3 = 0. pull selects one of the two
+    points where the line of action meets the tip. miss is the excess of |F2| over hypot(F1, F3): above 0 the contact
+    counts as tangential, P = (hypot + |F2|) / 2. Full precision from 1e-300 to 1e300 N.
     """
     return contact_of(scaled_force(F1, F2, F3), pull)
 
@@ -79,11 +76,9 @@ def contact_of(force: "ScaledForce | None", pull: bool) -> tuple[float, float, f
 def uncertainty(
     F1: float, F2: float, F3: float, cov: tuple[float, float, float, float, float, float], pull: bool
 ) -> tuple[float, float, float]:
-    """Return the standard uncertainties (u_P, u_phi, u_theta). cov: the upper triangle (11, 12, 13, 22, 23, 33) of the
-    covariance of F, N^2.
-
-    First order, J cov J^T, but finite_slope() for 1 / |cos(delta)|, which grows without bound near a tangential contact
-    (the real spread of theta stays near SNR ** -0.5). F1 = F3 = 0: worst u_P, angles NaN.
+    """Return the standard uncertainties (u_P, u_phi, u_theta). cov: upper triangle (11, 12, 13, 22, 23, 33) of the
+    covariance of F, N^2. First order, J cov J^T, but finite_slope() for 1 / |cos(delta)|, which grows without bound
+    near a tangential contact (the real spread of theta stays near SNR ** -0.5). F1 = F3 = 0: worst u_P, angles NaN.
     """
     return deviations(scaled_force(F1, F2, F3), scaled_covariance(cov), pull)[:3]
 
@@ -137,10 +132,8 @@ def magnitude_uncertainty(
 
 def clearly_resolved(P: float, F2: float, cov: tuple[float, float, float, float, float, float]) -> bool:
     """Return True where a bound shows that u_theta is below THETA_RESOLVED_DEG: a sixth of the work of uncertainty().
-
-    With s^2 the trace of cov, the step of x = |F2| / P is at most sqrt(2) s / P, the slope at most that of asin at x +
-    step, and u_theta at most s / P (1 + sqrt(2) slope). False, for NaN too, says nothing.
-    """
+    False, for NaN too, says nothing."""
+    # s^2 = trace: the step of x = |F2| / P is at most sqrt(2) s / P, u_theta at most s / P (1 + sqrt(2) slope there).
     trace = cov[0] + cov[3] + cov[5]
     if not (trace > SMALLEST_STEP and P > 0.0):
         return False
@@ -164,11 +157,8 @@ def miss_uncertainty(F1: float, F2: float, F3: float, cov: tuple[float, float, f
 
 
 def finite_slope(x: float, cosine: float, step: float) -> float:
-    """Return the slope of asin at x over one standard uncertainty, ``step``: root mean square of the two chords. x =
-    |F2| / P in [0, 1]; cosine = sqrt(1 - x^2) is more precise than x.
-
-    Far from x = 1 it is 1 / cosine; at x = 1 the outward chord is zero and it is about step ** -0.5.
-    """
+    """Return the slope of asin at x = |F2| / P in [0, 1] over one standard uncertainty, ``step``: root mean square of
+    the two chords. cosine = sqrt(1 - x^2) is more precise than x. At x = 1 it is about step ** -0.5."""
     if step < SMALLEST_STEP:
         return 1.0 / max(cosine, SMALLEST_COSINE)
     inward = _arc(x, cosine, -min(step, 1.0 + x))
@@ -186,12 +176,10 @@ def status_bits(
     limits: tuple[float, float, float, float],
     was_present: bool,
 ) -> int:
-    """Return the bits CONTACT_PRESENT, THETA_UNRESOLVED, MISSES_TIP and OUTSIDE_PAD of one sample. limits: contact-on
-    >= contact-off, N, theta minimum <= maximum, degrees (150 to 210 is allowed). was_present: that of the sample
-    before.
+    """Return the bits CONTACT_PRESENT, THETA_UNRESOLVED, MISSES_TIP, and OUTSIDE_PAD (of a contact with neither). NaN
+    is never a contact; in theta or an uncertainty it leaves theta unresolved. was_present: of the sample before.
 
-    NaN is never a contact; a NaN in theta or an uncertainty leaves theta unresolved. OUTSIDE_PAD is set only with a
-    contact, theta resolved, the tip not missed.
+    limits: contact-on >= contact-off, N, theta minimum <= maximum, degrees (150 to 210 is allowed).
     """
     on, off, theta_min_deg, theta_max_deg = limits
     bits = 0

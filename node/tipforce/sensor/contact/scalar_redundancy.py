@@ -1,11 +1,8 @@
 """More than three gauges, on the MicroPython subset: whether and which gauges contradict, and the force from the rest
 (redundancy.py explains it). Matrices are lists of rows, noise is the upper triangle of the gauges' covariance (2106h),
-strain^2.
-
-With V = A F + e and the covariance Sigma of e, the n - 3 rows w of ``directions`` have w A = 0 and w Sigma w = 1: p = W
-V does not depend on the force. Gauges that vary more than their noise, by ``extra`` strain^2 (a model uncertainty grows
-with the strain), make p vary by M = I + sum of extra_k w_k w_k; chi-square p M^-1 p is that of redundancy.py with Sigma
-+ diag(extra). A fault f of gauge k adds f w_k to p, w_k being column k of W.
+strain^2. Gauges that vary more than their noise, by ``extra`` strain^2 (a model uncertainty grows with the strain),
+make p = W V vary by M = I + sum of extra_k w_k w_k, w_k column k of W; chi-square p M^-1 p is that of Sigma +
+diag(extra).
 """
 
 from math import erfc, exp, pi, sqrt
@@ -80,11 +77,9 @@ def structure_matrix(C: list[list[float]], noise: list[float]) -> list[list[floa
 def leave_out(
     C: list[list[float]], noise: list[float], left_out: list[int], condition_limit: float = CONDITION_LIMIT
 ) -> tuple[list[list[float]], tuple[float, float, float, float, float, float]] | None:
-    """Return (matrix, covariance of F as of scalar.uncertainty()) without the gauges ``left_out`` (from 0); None
-    without rank 3: fewer than three left, a singular covariance, or a condition number over the limit.
-
-    The matrix is 3 rows of n, newtons per unit strain, zeros for them. C must weigh by noise; all zero: equal weights,
-    a covariance of zero.
+    """Return (3 rows of n, newtons per unit strain; covariance of F as of scalar.uncertainty()) without the gauges
+    ``left_out`` (from 0), zeros for them; None without rank 3: fewer than three left, a singular covariance, or a
+    condition number over the limit. C must weigh by noise; all zero: equal weights, a covariance of zero.
     """
     n = len(C[0])
     kept = [k for k in range(n) if k not in left_out]
@@ -181,11 +176,11 @@ def columns(W: "Directions", noise: "list[float]") -> "list[list[float] | None]"
     """Return column k of W for each gauge, None for one whose fault no residual shows."""
     n = len(W[0])
     full = _covariance(noise, n)
-    found: list[list[float] | None] = []
+    shown: list[list[float] | None] = []
     for k in range(n):
         column = [row[k] for row in W]
-        found.append(column if dot(column, column) * full[k][k] >= SMALLEST_VARIANCE else None)
-    return found
+        shown.append(column if dot(column, column) * full[k][k] >= SMALLEST_VARIANCE else None)
+    return shown
 
 
 def judge(
@@ -196,13 +191,13 @@ def judge(
     alarm: float,
     exclusion: float,
 ) -> "tuple[float, int, list[tuple[float, float]]]":
-    """Return (chi-square, bits of the gauges that may be at fault, (chi-square, visibility) of each gauge's fault).
+    """Return (chi-square, bits of the gauges that may be at fault, (chi-square, visibility) of each gauge's fault,
+    zeros where not shown). Bits -1: nothing is wrong; 0: no single gauge explains it, or NaN; several: not
+    distinguished.
+
     strains: without offsets, finite for gauges that are not kept. shown: ``columns``. extra: strain^2 of each gauge
     beside its noise. alarm, exclusion: limits of chi-square with as many degrees of freedom as W has rows, and one
-    less: a gauge explains what its best-fitting fault leaves no more than exclusion of.
-
-    Bits -1: nothing is wrong; 0: no single gauge explains it; more than one: they cannot be told apart. Zeros for a
-    gauge not shown. NaN in: chi-square NaN, bits 0.
+    less, for what the best-fitting fault of a gauge leaves.
     """
     chi_square, faults = explained(W, shown, strains, extra)
     bits = 0
@@ -247,10 +242,9 @@ def explained(
 def doubt(
     C: "list[list[float]]", noise: "list[float]", faults: "list[tuple[float, float]]"
 ) -> "tuple[float, float, float, float, float, float]":
-    """Return what a fault below the limit adds to the covariance of F: upper triangle, N^2.
-
-    The squares of what each gauge's best-fitting fault does to F, by the probability of that fault (Bayes: odds of
-    NO_FAULT to 1 before the sample, likelihood exp(explained / 2)). faults: of ``judge``.
+    """Return what a fault below the limit adds to the covariance of F, upper triangle, N^2: squares of what each
+    gauge's best-fitting fault does to F, by its probability (Bayes: odds of NO_FAULT to 1 before the sample, likelihood
+    exp(explained / 2)). faults: of ``judge``.
     """
     n = len(faults)
     shown: list[int] = []

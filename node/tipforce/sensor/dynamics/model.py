@@ -1,8 +1,7 @@
 """The tip on its beams as an oscillator: masses, modes, and the transfer from force to gauge readings. The tip is
-rigid, a half cylinder of steel, joined to the outer beam ends by rigid massless legs; the fixture does not move. Joint
-and beams are massless by default: then three modes remain, and all gauges measure one elastic force. With mass there
-are six, the joint's far above, and the gauges of arms and vertical beam differ. Coordinates: y = (v, r rotation, u),
-conjugate to F, in metres. Small motions; no gravity; damping is an assumed ratio per mode.
+rigid, a half cylinder of steel; joint and beams are massless by default: then three modes remain, and all gauges
+measure one elastic force. With mass there are six, and the gauges of arms and vertical beam differ. Coordinates: y =
+(v, r rotation, u), conjugate to F, in metres. Small motions; no gravity; damping is an assumed ratio per mode.
 """
 
 from __future__ import annotations
@@ -177,14 +176,12 @@ def beam_mass_matrix(geometry: Geometry, density_kg_m3: float) -> FloatArray:
 def _local_mass(length: float, mass_per_length: float) -> FloatArray:
     """Return rows along, across, rotation at either end (Przemieniecki, Theory of Matrix Structural Analysis, 11.3)."""
     L = length
-    bend = np.array(
-        [
-            [156.0, 22.0 * L, 54.0, -13.0 * L],
-            [22.0 * L, 4.0 * L * L, 13.0 * L, -3.0 * L * L],
-            [54.0, 13.0 * L, 156.0, -22.0 * L],
-            [-13.0 * L, -3.0 * L * L, -22.0 * L, 4.0 * L * L],
-        ]
-    )
+    bend = np.array([
+        [156.0, 22.0 * L, 54.0, -13.0 * L],
+        [22.0 * L, 4.0 * L * L, 13.0 * L, -3.0 * L * L],
+        [54.0, 13.0 * L, 156.0, -22.0 * L],
+        [-13.0 * L, -3.0 * L * L, -22.0 * L, 4.0 * L * L],
+    ])  # fmt: skip
     M = np.zeros((6, 6))
     M[np.ix_([0, 3], [0, 3])] = np.array([[140.0, 70.0], [70.0, 140.0]])
     M[np.ix_([1, 2, 4, 5], [1, 2, 4, 5])] = bend
@@ -203,10 +200,7 @@ _SWEEPS = 60
 
 def jacobi(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (values (n,), vectors (n, n) as columns), largest value first, by Jacobi's rotations: unlike
-    numpy.linalg.eigh, small eigenvalues keep their digits (Demmel and Veselic 1992), a thin beam's beside a thick
-    one's.
-
-    A rotation is skipped only for an entry small against the geometric mean of its diagonals.
+    numpy.linalg.eigh, small eigenvalues keep their digits, a thin beam's beside a thick one's (Demmel, Veselic 1992).
     """
     A, Q = matrix.copy(), np.eye(len(matrix))
     pairs = [(i, j) for i in range(len(A)) for j in range(i + 1, len(A))]

@@ -1,9 +1,8 @@
-"""Loads out of the plane: their effect on the gauges by a three-dimensional beam model (section 3.3 of the paper).
-Axes: x along the horizontal beam, y from the fixture to the tip, z along the width; origin at the middle of the
-horizontal beam. Rigid tip and joint, clamped vertical beam; Euler-Bernoulli bending in both planes, axial force, St
-Venant's torsion, with warping free, or (thin-rectangle theory of Vlasov) restrained at every beam end: then the shear
-of torsion vanishes there, as the paper states, but an axial strain y z phi'' replaces it, to which a gauge off the
-centre line responds. Neglected: shear deformation, compliance of tip and fixture, stress concentration in corners.
+"""Loads out of the plane: their effect on the gauges by a three-dimensional beam model (section 3.3 of the paper). x
+along the horizontal beam, y from the fixture to the tip, z along the width; origin at the middle of the horizontal
+beam. Rigid tip and joint; Euler-Bernoulli bending in both planes, axial force, St Venant's torsion, with warping free,
+or (Vlasov) restrained at every beam end: then the shear of torsion vanishes there, but an axial strain y z phi''
+replaces it, to which a gauge off the centre line responds. Neglected: shear, compliance of the rest, corners.
 """
 
 import itertools
@@ -87,11 +86,8 @@ def torsion_constants(width_m: float, thickness_m: float) -> tuple[float, float]
 
 
 def wrench_strain_matrix(geometry: Geometry, gauges: list[PlacedGauge], *, warping_held: bool = False) -> FloatArray:
-    """Return the strain per unit of a wrench on the tip, shape (n, 6), tension positive.
-
-    The wrench is (Fx, Fy, Fz, Mx, My, Mz) about the middle of the horizontal beam, newtons and newton metres. Raises
-    InputError for a beam that is thicker than wide.
-    """
+    """Return the strain per unit of a wrench on the tip, (n, 6), tension positive: (Fx, Fy, Fz, Mx, My, Mz) about the
+    origin, N and N m. Raises InputError for a beam that is thicker than wide."""
     horizontal = _Section(geometry, geometry.a_m, geometry.h1_m, warping_held)
     vertical = _Section(geometry, geometry.d_m, geometry.h2_m, warping_held)
     arms = _arm_loads(horizontal)

@@ -1,12 +1,10 @@
 """A plane frame by the direct stiffness method, an independent model of the body, and the loads that a body stands.
-Three rigid bodies: fixture, joint, tip. Three elastic beams, one two-node element each (exact for load at its ends
-only): the vertical beam (fixture to joint) and the two arms of the horizontal beam (joint to tip). x to the right, y
-away from the fixture, angles counter-clockwise; tension is positive. In the limit EULER_BERNOULLI (rigid roots, rigid
-joint without width) the frame equals Table 1 of the paper to rounding, its lever h1 / 2 included.
+Three rigid bodies (fixture, joint, tip) and three elastic beams of one element each: the vertical beam and the two arms
+of the horizontal one. x to the right, y away from the fixture; tension is positive. EULER_BERNOULLI (rigid roots, joint
+without width) equals Table 1 of the paper to rounding.
 
 The unknowns are the motion of the joint relative to the fixture and of the tip relative to the joint: then no stiffness
-is added to one of another beam 1e14 times smaller, and with diagonal scaling a body of 1 nm thickness is solved to
-rounding.
+is added to one 1e14 times smaller, and with diagonal scaling a body of 1 nm thickness is solved to rounding.
 """
 
 import math
@@ -183,14 +181,12 @@ def _stiffness(length: float, thickness: float, model: FrameModel) -> FloatArray
     slender = h / L
     Phi = slender * slender / (shear_modulus * SHEAR_COEFFICIENT) if model.shear else 0.0
     k = slender * slender * slender / (12.0 * (1.0 + Phi))
-    bend = k * np.array(
-        [
-            [12.0, 6.0 * L, -12.0, 6.0 * L],
-            [6.0 * L, (4.0 + Phi) * L * L, -6.0 * L, (2.0 - Phi) * L * L],
-            [-12.0, -6.0 * L, 12.0, -6.0 * L],
-            [6.0 * L, (2.0 - Phi) * L * L, -6.0 * L, (4.0 + Phi) * L * L],
-        ]
-    )
+    bend = k * np.array([
+        [12.0, 6.0 * L, -12.0, 6.0 * L],
+        [6.0 * L, (4.0 + Phi) * L * L, -6.0 * L, (2.0 - Phi) * L * L],
+        [-12.0, -6.0 * L, 12.0, -6.0 * L],
+        [6.0 * L, (2.0 - Phi) * L * L, -6.0 * L, (4.0 + Phi) * L * L],
+    ])  # fmt: skip
     K = np.zeros((6, 6))
     K[np.ix_([0, 3], [0, 3])] = slender * np.array([[1.0, -1.0], [-1.0, 1.0]])
     K[np.ix_([1, 2, 4, 5], [1, 2, 4, 5])] = bend
@@ -250,17 +246,17 @@ def closing_load(geometry: Geometry, theta_rad: float, phi_rad: float, gap_m: fl
             "and a gap above 0"
         )
     F = np.array([math.sin(phi_rad), math.sin(phi_rad - theta_rad), math.cos(phi_rad)])
-    most = float(_largest(Frame(geometry), F).max())
-    return gap_m / most if most > _ROUNDING * _largest(Frame(geometry), np.array([-1.0, 0.0, 0.0])).max() else math.inf
+    frame = Frame(geometry)
+    most = _largest(frame, F)
+    return gap_m / most if most > _ROUNDING * _largest(frame, np.array([-1.0, 0.0, 0.0])) else math.inf
 
 
-def _largest(frame: Frame, F: FloatArray) -> FloatArray:
-    """The largest closure of each arm under F (3,), (2,), metres: of a cubic, at an end or where its slope is zero."""
-    at = np.array([0.0, 1.0, 2.0, 3.0]) / 3.0
-    found = np.zeros(2)
+def _largest(frame: Frame, F: FloatArray) -> float:
+    """The largest closure of an arm under F (3,), metres: of a cubic, at an end or where its slope is zero."""
+    at, largest = np.array([0.0, 1.0, 2.0, 3.0]) / 3.0, -math.inf
     for arm, values in enumerate(frame.slit_closure(at) @ F):
         cubic = np.linalg.solve(np.vander(at), values)
         turns = [float(root.real) for root in np.roots(np.polyder(cubic)) if abs(root.imag) < 1e-9]
         places = [0.0, 1.0, *(turn for turn in turns if 0.0 < turn < 1.0)]
-        found[arm] = (frame.slit_closure(places)[arm] @ F).max()
-    return found
+        largest = max(largest, float((frame.slit_closure(places)[arm] @ F).max()))
+    return largest

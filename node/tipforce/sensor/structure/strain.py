@@ -1,7 +1,5 @@
 """Force to strain: gauges at points of Table 1 or anywhere along the beams, their matrices and the quality of these.
-Every matrix multiplies F = P (sin(phi), sin(phi - theta), cos(phi)), equation (16). Strain is linear along a beam
-without load: a gauge of finite length reads that at its middle; one of 1 mm at a corner, 0.5 mm from it.
-"""
+Strain is linear along a beam without load: a gauge of finite length reads that at its middle."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any, Literal, NamedTuple
@@ -46,12 +44,10 @@ def nominal_position(geometry: Geometry, point: str) -> GaugePosition:
 def strain_row(
     geometry: Geometry, beam: Beam, side: Side, position_m: npt.ArrayLike, face: Face = "lower"
 ) -> FloatArray:
-    """Return the strain per newton of F, shape (..., 3), tension positive, at positions (...); arguments as of
-    GaugePosition.
+    """Return the strain per newton of F, (..., 3), tension positive, at positions (...); arguments as of GaugePosition.
 
-    Table 1 at the eight points, linear between them: equations (5) and (6) with the lever arm in place of d, on the
-    horizontal beam from (4) to (3) and (11) to (10). Raises InputError for an unknown beam, side or face, or a position
-    off the beam.
+    Table 1 at the eight points, linear between them: equations (5) and (6) with the lever arm in place of d, (4) to (3)
+    and (11) to (10). Raises InputError for an unknown beam, side or face, or a position off the beam.
     """
     if beam not in ("H", "V") or side not in ("left", "right") or face not in ("lower", "upper"):
         raise InputError(
@@ -186,12 +182,8 @@ _THIN_LIMIT = {
 
 
 def thin_limit_matrix(gauges: Layout) -> FloatArray:
-    """Return the strain matrix in the thin-beam limit, shape (n, 3), dimensionless, tension positive: h1 -> 0 with h2 =
-    sqrt(8/3) h1 and a = d = r, in units of 3 a / (2 h1^2 width E) per newton; its condition number is the "theory"
-    column of Table 3.
-
-    Raises InputError for an unusable layout.
-    """
+    """Return the strain matrix in the thin-beam limit, (n, 3), tension positive: h1 -> 0 with h2 = sqrt(8/3) h1 and a =
+    d = r, in units of 3 a / (2 h1^2 width E) per newton. Raises InputError for an unusable layout."""
     return np.array([_THIN_LIMIT[point] for point in layout(gauges)], dtype=np.float64)
 
 
