@@ -13,7 +13,7 @@ from fingertip.finger import PUSH, finger, record
 from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.judgement import Judgement
 from tipforce.fingertip.sample import Sample
-from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.decoding import judged
 from tipforce.host.decoding.contact_columns import ContactColumns
 from tipforce.host.decoding.estimator import Before, Estimator, estimate
@@ -27,6 +27,7 @@ from tipforce.scene import beam_calibration
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.contact.scalar_redundancy import chi_square_threshold
+from tools.decode.logs import decode, rows_of, write_log
 
 NOISE = 5e-7
 BITS = judged.GAUGES | 0xF000
@@ -196,17 +197,26 @@ def test_decode_sees_a_gauge_that_stands_still(size: int) -> None:
     assert np.flatnonzero(np.isnan(P)).tolist() == list(range(82, 150))
 
 
-def test_the_age_of_the_tare_counts_in_read_log_as_in_decode(tmp_path: Path) -> None:
-    calibration, t_ns, microstrain = pushed(200)
-    calibration = replace(calibration, tare_drift_strain_per_s=1e-4)
+def test_read_log_and_decode_give_the_same(tmp_path: Path) -> None:
+    """With the age of the tare, and the temperature that TPDO4 sent last."""
+    calibration, _, microstrain = pushed(200)
+    calibration = replace(
+        calibration, tare_drift_strain_per_s=1e-4, offset_temperature_strain_per_K=np.array([2e-6, 1e-6, 0.0]),
+        temperature_min_degC=10.0, temperature_max_degC=30.0,
+    )  # fmt: skip
     frames = [row.tobytes().hex() for row in np.rint(10 * microstrain).astype("<i2")]
     lines = [f"({k / 1000:.6f}) can0 185#{row}03{k:02X}" for k, row in enumerate(frames)]
-    path = tmp_path / "run.log"
-    path.write_text("\n".join(lines) + "\n")
-    (found,) = ContactColumns({None: calibration}, None).tables([log_table(t_ns, microstrain)])
+    lines.insert(0, "(0.000000) can0 485#C409000000000000")  # 25 degC
+    path = write_log(tmp_path / "run.log", lines)
+    write_calibration(tmp_path / "cal.toml", calibration)
+    assert decode(path, "--calibration", tmp_path / "cal.toml", "-o", tmp_path / "run.csv") == 0
+    rows = [row for row in rows_of(tmp_path / "run.csv") if row["counter"]]
     log = read_log(path, calibration=calibration)[5]
-    np.testing.assert_allclose(log.u_P_newtons, found.values["u_P_N"], rtol=1e-12)
-    assert log.u_P_newtons[-1] > 2.0 * log.u_P_newtons[0]
+    sent = log.counter >= 0
+    for name, values in (("P_N", log.P_newtons), ("u_P_N", log.u_P_newtons)):
+        np.testing.assert_allclose(values[sent], [float(row[name]) for row in rows], atol=1e-6)
+    assert {row["temperature_outside"] for row in rows} == {"0"}
+    assert log.u_P_newtons[-1] > 2.0 * log.u_P_newtons[sent][0]
 
 
 def test_a_gauge_left_out_is_judged_with_the_temperature() -> None:

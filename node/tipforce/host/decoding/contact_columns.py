@@ -85,7 +85,7 @@ class ContactColumns:
         if not set(names) <= set(table.values):
             return
         microstrain = np.stack([table.values[name][rows] for name in names], axis=-1)
-        columns = {name: column[rows] for name, column in table.values.items()}
+        columns = {column.signal: table.values[column.name][rows] for column in table.columns}
         history = self._history.setdefault(key, History(still=Still(estimator.judge.calibration)))
         status = status_of(columns, (len(rows),))
         held, contacts = of_samples(estimator, columns, microstrain, status, history, table.t_ns[rows])
