@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import FloatArray
+from tipforce.arrays import FloatArray, occurring
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurements import MODES, Measurements
@@ -15,7 +15,7 @@ from tipforce.host.decoding import judged
 from tipforce.host.decoding.estimator import FEW, Before, Contacts, Estimator
 from tipforce.host.decoding.health import lost_gauges
 from tipforce.host.decoding.judged import Judge, Readings, Still, frozen_gauges
-from tipforce.host.decoding.sample_table import NODE_BITS, Table, Values, computed, flag, in_order, missing_of
+from tipforce.host.decoding.sample_table import Table, Values, computed, flag, in_order, missing_of, node_of
 from tipforce.samples import reasons
 from tipforce.samples.reasons import Status, status_of
 
@@ -62,19 +62,14 @@ class ContactColumns:
         """Each table with its contact columns."""
         for table in tables:
             columns = {column.name: column for column in (*table.columns, *COLUMNS)}
-            values = dict(table.values)
-            for column in COLUMNS:
-                before = values.get(column.name)
-                values[column.name] = missing_of(column, len(table)) if before is None else before.copy()
-            absent = {name: rows for name, rows in table.absent.items() if name not in {c.name for c in COLUMNS}}
-            for key in np.unique(table.key).tolist():
-                node = key & ((1 << NODE_BITS) - 1)
-                estimator = self._estimators.get(node, self._estimators.get(None))
+            own = {c.name: table.values.get(c.name, missing_of(c, len(table))).copy() for c in COLUMNS}
+            for key in occurring(table.key):
+                estimator = self._estimators.get(node_of(key), self._estimators.get(None))
                 if estimator is not None:
-                    self._fill(estimator, key, np.flatnonzero(table.key == key), table, values)
+                    self._fill(estimator, key, np.flatnonzero(table.key == key), table, own)
             shown = [c for c in columns.values() if self._asked is None or c.signal in self._asked]
-            ordered = in_order(shown, self._asked)
-            yield replace(table, columns=ordered, values={c.name: values[c.name] for c in ordered}, absent=absent)
+            values, absent = table.values | own, {name: of for name, of in table.absent.items() if name not in own}
+            yield table.of_columns(in_order(shown, self._asked), values, absent)
 
     def _fill(
         self, estimator: Estimator, key: int, rows: npt.NDArray[np.intp], table: Table, values: dict[str, Values]
@@ -222,20 +217,16 @@ def estimates(
         calibration = replace(calibration, parameter_covariance=blocks)
     estimator = Estimator(calibration)
     given = Readings(
-        data.strain,
-        temperature_degC=data.temperature_degC,
-        frozen=frozen_gauges(calibration, data.strain, weight),
-        unloaded=data.unloaded,
+        data.strain, data.temperature_degC, None, frozen_gauges(calibration, data.strain, weight), data.unloaded,
         variance_factor=1.0 / weight,
-    )
-    if data.t_s is not None:  # without tares the age counts from the first row, the first that is known
-        given = given._replace(age_s=data.t_s - data.t_s[:1])
+        # Without tares the age counts from the first row, the first that is known.
+        age_s=None if data.t_s is None else data.t_s - data.t_s[:1],
+        pull=None if data.mode is None else np.where(data.mode < 0, calibration.pull, data.mode == MODES.index("pull")),
+    )  # fmt: skip
     if tares is not None:
         offset, noise, age_s = tares
-        given = given._replace(offset_strain=offset, variance_factor=1.0 / weight + noise)
-        given = given._replace(age_s=None if data.t_s is None else age_s)
-    if data.mode is not None:
-        given = given._replace(pull=np.where(data.mode < 0, calibration.pull, data.mode == MODES.index("pull")))
+        age = None if data.t_s is None else age_s
+        given = given._replace(offset_strain=offset, variance_factor=1.0 / weight + noise, age_s=age)
     contacts, status, _ = estimator.rows(given, Before())
     words = {value: reasons.of_estimate(value) for value in np.unique(status).tolist()}
     for line, values, value in zip(data.line.tolist(), contacts.values.tolist(), status.tolist(), strict=True):
@@ -245,12 +236,9 @@ def estimates(
 def _tares(
     data: Measurements, weight: FloatArray, calibration: Calibration
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """From the unloaded readings, those that follow each other averaged: the offset of each row, (m, n), interpolated,
-    its noise in units of one reading's variance, (m,), and the time to the nearest tare, (m,), in rows where there are
-    no times.
-
-    Temperature is compensated where it is known. None without unloaded readings.
-    """
+    """From the unloaded readings, those that follow each other averaged and compensated where the temperature is known:
+    the offset of each row (m, n), interpolated, its noise in units of one reading's variance, and the time to the
+    nearest tare, in rows where there are no times, (m,) each. None without unloaded readings."""
     from tipforce.sensor.calibration.regressors import tare_groups  # not where a log is read
 
     groups = tare_groups(data.unloaded, np.ones(len(data.line), dtype=np.bool_))

@@ -5,7 +5,6 @@ PDO, so EMCY is all that a bus shows of them; bit 13 has none.
 
 import struct
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,11 +19,10 @@ from tipforce.host.decoding.sample_table import (
     NO_COUNTER,
     NO_FLAG,
     NO_INTEGER,
-    NODE_BITS,
     Table,
-    Values,
     flag,
     in_order,
+    place_of,
 )
 from tipforce.host.frames.frame_array import FrameArray, heartbeats_and_emcys
 from tipforce.samples import reasons
@@ -194,36 +192,33 @@ class HealthRows:
         self._rows += len(table)
         service = self._take(table, place)
         for key in occurring(table.key[~service & (table.counter != NO_COUNTER)]):
-            self.sampled[key] = table.channels[key >> NODE_BITS], key & ((1 << NODE_BITS) - 1)
+            self.sampled[key] = place_of(table.channels, key)
         if self._health.nodes:
             table = self._with_faults(table, place)
         if not service.any() and EMCY not in table.values and STATE not in table.values:
             return table
-        found = table.take(np.flatnonzero(~service))
-        columns = tuple(column for column in found.columns if column.name not in (EMCY, STATE))
-        values = {column.name: found.values[column.name] for column in columns}
-        absent = {name: rows for name, rows in found.absent.items() if name in values and rows.any()}
-        return replace(found, columns=columns, values=values, absent=absent)
+        rows = table.take(np.flatnonzero(~service))
+        columns = [column for column in rows.columns if column.name not in (EMCY, STATE)]
+        return rows.of_columns(columns, rows.values, rows.absent)
 
     def _with_faults(self, table: Table, place: IntArray) -> Table:
         faults, seen = np.zeros(len(table), dtype=np.int64), np.zeros(len(table), dtype=np.int64)
         for key in occurring(table.key):
             rows = np.flatnonzero(table.key == key)
             faults[rows], seen[rows] = self._health.at(key, place[rows])
-        some = int(np.bitwise_or.reduce(seen)) if len(seen) else 0
-        new: dict[str, Values] = {}
-        absent = dict(table.absent)
+        columns, values, absent = (
+            {column.name: column for column in table.columns},
+            dict(table.values),
+            dict(table.absent),
+        )
+        some = int(np.bitwise_or.reduce(seen))
         for name, bit in NAMES.items():
-            if not some >> bit & 1 or (self._asked is not None and name not in self._asked):
-                continue
-            known = seen >> bit & 1 == 1
-            new[name] = np.where(known, faults >> bit & 1, NO_FLAG).astype(np.int8)
-            absent[name] = ~known
-        columns = {column.name: column for column in table.columns}
-        columns |= {name: flag(name) for name in new if name not in columns}
-        absent = {name: rows for name, rows in absent.items() if rows.any()}
-        ordered = in_order(columns.values(), self._asked)
-        return replace(table, columns=ordered, values={**table.values, **new}, absent=absent)
+            if some >> bit & 1 and (self._asked is None or name in self._asked):
+                known = seen >> bit & 1 == 1
+                columns.setdefault(name, flag(name))
+                values[name] = np.where(known, faults >> bit & 1, NO_FLAG).astype(np.int8)
+                absent[name] = ~known
+        return table.of_columns(in_order(columns.values(), self._asked), values, absent)
 
     def _take(self, table: Table, place: IntArray) -> BoolArray:
         """Take what the rows tell; return (k,) the rows of EMCY and heartbeats."""

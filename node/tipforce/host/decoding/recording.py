@@ -24,7 +24,7 @@ from tipforce.host.decoding.health import HealthRows, joins
 from tipforce.host.decoding.log_part import Piece, Progress, Reading, Source, StrictError
 from tipforce.host.decoding.sample_merger import OpenRows, SampleMerger, renumbered
 from tipforce.host.decoding.sample_rule import GAP_FRAMES, GAP_NS
-from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table, in_order
+from tipforce.host.decoding.sample_table import Column, Table, in_order, place_of
 from tipforce.host.decoding.services import BusEvent, BusEvents
 from tipforce.host.frames.frame_array import FRAME, MAX_CHANNELS, FrameArray
 from tipforce.host.logs.notes import LogNotes
@@ -120,7 +120,7 @@ class Recording:
         merger.resume(OpenRows(held, np.array(state.held_number, dtype=np.int64), state.syncs))
         self._counters, self._health = Counters(state.counters), HealthRows(self.reading.signals, state.health)
         for key in state.sampled:
-            self._health.sampled[key] = self.channels[key >> NODE_BITS], key & ((1 << NODE_BITS) - 1)
+            self._health.sampled[key] = place_of(self.channels, key)
         self.told.tally, merger.tally = Tally.of_rows(state.tally, state.short), Tally()
 
     def state(self) -> State:
