@@ -153,7 +153,7 @@ class _Run:
                     mcap = McapWriter(stream)
                     for table in looked_ahead(self._tables(advance, mcap.frames)):
                         mcap.write(table)
-                    mcap.close(self.told.events())
+                    mcap.close(self.told.bus.found)
                     return
                 writer = StreamWriter(stream, kind, base)
                 for table in looked_ahead(self._tables(advance)):
@@ -186,7 +186,7 @@ class _Run:
             _check_readable(self._args, self.told)
             if file is not None:
                 file.keep()
-                summaries.write_events(output, self.told.events())
+                summaries.write_events(output, self.told.bus.found)
         except OSError as error:
             if file is None:
                 raise
@@ -246,7 +246,7 @@ class _Run:
             lost = sum(told.tally.lost().values())
             samples, nodes = counted(summary.samples.total(), "sample"), counted(len(summary.samples), "node")
             common.note(f"{args.output}: {samples} of {nodes}, {lost} lost")
-            if (events := told.events()) and not _to_dataset(args):
+            if (events := told.bus.found) and not _to_dataset(args):
                 common.note(f"{summaries.events_path(args.output)}: {counted(len(events), 'event')}")
 
 
@@ -345,7 +345,7 @@ def _check_readable(args: Namespace, told: Told) -> None:
     if told.notes and not frames and not args.follow and not begun:
         raise no_frame(names)
     narrowed = args.signals or args.calibration or args.follow or log_choice.narrowing_flags(args)
-    if frames and not told.tally.messages and not told.tally.short and not told.events() and not narrowed:
+    if frames and not told.tally.messages and not told.tally.short and not told.bus.found and not narrowed:
         raise no_sample(names, frames, sum(notes.extended for notes in told.notes))
 
 

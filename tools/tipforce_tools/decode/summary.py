@@ -141,7 +141,7 @@ def record(summary: Summary, told: Told, output: str | None) -> dict[str, Any]:
         "bad": bad_lines(told),
         "skipped": sum((Counter(notes.skipped) for notes in told.notes), Counter()),
         "events": [
-            dict(zip(EVENT_COLUMNS, (event.t_ns / 1_000_000_000, *event[1:]), strict=True)) for event in told.events()
+            dict(zip(EVENT_COLUMNS, (event.t_ns / 1_000_000_000, *event[1:]), strict=True)) for event in told.bus.found
         ],
         "nodes": [_node_record(summary, told, place) for place in sorted(summary.samples)],
     }
@@ -182,7 +182,7 @@ def lines(summary: Summary, told: Told) -> Iterator[str]:
 def event_lines(told: Told) -> Iterator[str]:
     """Yield the events per node: EMCYs by their text, boot-ups and other changes of the NMT state."""
     counts: dict[Place, Counter[str]] = {}
-    for event in told.events():
+    for event in told.bus.found:
         what = f"EMCY {event.text}" if event.kind == "emcy" else _EVENTS.get(event.kind, event.text)
         counts.setdefault((event.channel, event.node_id), Counter())[what] += 1
     for (channel, node), of_node in sorted(counts.items()):
