@@ -150,8 +150,8 @@ def lines(store: Store, manifest: Manifest, wrong: dict[str, str]) -> Iterator[s
         yield "remove files that differ; then `tipforce decode` with their logs writes them again"
 
 
-# A query reads the files of the manifest and nothing else: it is one SELECT (COPY could write what a query may open), and
-# DuckDB opens no other file, loads no extension, sees no variable of Python, changes no setting, and has limited memory.
+# A query reads the files of the manifest and nothing else: it is one SELECT (COPY could write what a query may open);
+# DuckDB opens no other file, loads no extension, sees no variable of Python, changes no setting; memory is limited.
 MEMORY_MIB = 2048
 """Of tables, sorts and groups; the process may have as much again, for texts and lists that DuckDB does not count."""
 _THREADS = 8

@@ -120,7 +120,8 @@ class SampleMerger:
         joined = join(block, slots, self._slots.layouts, self._held_number, self._count, last=last)
         self._count = joined.number
         self._held, self._held_number = block[joined.held], joined.held_number
-        self.tally.short.update({self._place(slot): count for slot, count in joined.short})
+        for slot, count in joined.short:
+            self.tally.short[self._place(slot)] += count
         if len(joined.first):
             yield self._table(block, slots, joined)
 
