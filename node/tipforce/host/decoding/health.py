@@ -1,7 +1,5 @@
-"""The faults of a node (2124h) as its TPDO4, EMCY and boot-up messages tell them: held until they say otherwise.
-``Health`` follows frames, ``HealthRows`` the tables of a log. By default TPDO4 is off and bits 12 to 15 are in no other
-PDO, so EMCY is all that a bus shows of them; bit 13 has none.
-"""
+"""The faults of a node (2124h) as its TPDO4, EMCY and boot-up messages tell them: held until they say otherwise. By
+default TPDO4 is off, so EMCY is all that a bus shows of bits 12 to 15; bit 13 has none."""
 
 import struct
 from collections.abc import Iterable, Mapping
@@ -72,13 +70,13 @@ def packed(columns: Mapping[str, npt.NDArray[Any]]) -> IntArray | None:
 def lost_gauges(columns: Mapping[str, npt.NDArray[Any]], shape: tuple[int, ...]) -> IntArray:
     """Bits of the gauges that the node left out or found saturated, of samples with ``shape`` (k, n): (k,). 2124h may
     come later than the sample; what counts for a sample is its own status."""
-    found = np.zeros(shape[0], dtype=np.int64)
+    bits = np.zeros(shape[0], dtype=np.int64)
     for gauge in range(shape[1]):
         told = columns.get(f"SG{gauge + 1}_fault")
         if told is not None:
-            found |= (told == 1).astype(np.int64) << gauge
+            bits |= (told == 1).astype(np.int64) << gauge
     status = columns.get("saturated")
-    return found if status is None else np.where(status == 1, found, 0)
+    return bits if status is None else np.where(status == 1, bits, 0)
 
 
 class Health:
@@ -128,15 +126,13 @@ class Health:
 
     def take(self, frames: FrameArray, decoded: Iterable[Samples] = ()) -> None:
         """Received frames, FRAME (n,): EMCY and boot-ups among them, and what was decoded of them."""
-        found: list[tuple[int, int, int | tuple[int, bytes]]] = []  # row, node-id, 2124h or a service
+        told: list[tuple[int, int, int | tuple[int, bytes]]] = []  # row, node-id, 2124h or a service
         for samples in decoded:
-            words = packed(samples.columns)
-            if words is not None:
-                rows = samples.row.tolist()
-                found += zip(rows, [samples.node_id] * len(rows), words.tolist(), strict=True)
-        for row, function, node, data in heartbeats_and_emcys(frames):
-            found.append((row, node, (function, data)))
-        for row, node, what in sorted(found, key=lambda one: one[0]):
+            if (words := packed(samples.columns)) is not None:
+                pairs = zip(samples.row.tolist(), words.tolist(), strict=True)
+                told += [(row, samples.node_id, word) for row, word in pairs]
+        told += [(row, node, (function, data)) for row, function, node, data in heartbeats_and_emcys(frames)]
+        for row, node, what in sorted(told, key=lambda of_row: of_row[0]):
             time = int(frames["t_ns"][row])
             if isinstance(what, int):
                 self.pdo(node, time, what)
@@ -223,19 +219,16 @@ class HealthRows:
     def _take(self, table: Table, place: IntArray) -> BoolArray:
         """Take what the rows tell; return (k,) the rows of EMCY and heartbeats."""
         values, none = table.values, np.zeros(len(table), dtype=np.bool_)
-        emcy = none if EMCY not in values else values[EMCY] != NO_INTEGER
-        state = none if STATE not in values else values[STATE] != NO_INTEGER
-        names = [name for name in NAMES if name in values]
-        told = none if not names else np.logical_or.reduce([values[name] != NO_FLAG for name in names])
-        mask = sum(1 << NAMES[name] for name in names)
+        emcy, state = (values[name] != NO_INTEGER if name in values else none for name in (EMCY, STATE))
+        bits = {name: bit for name, bit in NAMES.items() if name in values}
+        told = none if not bits else np.logical_or.reduce([values[name] != NO_FLAG for name in bits])
         for row in np.flatnonzero(emcy | state | told).tolist():
             key, time = int(table.key[row]), int(place[row])
-            if emcy[row]:
-                data = int(values[EMCY][row]).to_bytes(EMCY_LENGTH, "little", signed=True)
-                self._health.service(key, time, EMCY_BASE, data)
-            elif state[row]:
-                self._health.service(key, time, HEARTBEAT_BASE, bytes([int(values[STATE][row]) & 0xFF]))
+            if emcy[row] or state[row]:
+                name, base, length = (EMCY, EMCY_BASE, EMCY_LENGTH) if emcy[row] else (STATE, HEARTBEAT_BASE, 1)
+                data = int(values[name][row]).to_bytes(8, "little", signed=True)[:length]
+                self._health.service(key, time, base, data)
             else:
-                faults = sum(1 << NAMES[name] for name in names if values[name][row] == 1)
-                self._health.pdo(key, time, faults, mask)
+                faults = sum(1 << bit for name, bit in bits.items() if values[name][row] == 1)
+                self._health.pdo(key, time, faults, sum(1 << bit for bit in bits.values()))
         return emcy | state
