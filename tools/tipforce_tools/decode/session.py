@@ -170,7 +170,7 @@ class _Run:
             assert file is not None
             with JoinedFile(file, self._kind, shape) as output:
                 workers = _workers(self._args, self._reading, output, len(pieces))
-                for written in InOrder(pieces, self._recording, shape, workers):
+                for written, *_ in InOrder(pieces, self._recording, shape, workers):
                     self.summary.append(written.summary)
                     output.add(written.record, written.shape)
                     advance(_size(written.piece))

@@ -48,6 +48,13 @@ class Told:
     """Channel and node-id of the nodes of which nothing told bits 12 to 15 of 2124h; empty where none was asked for."""
     bus: BusEvents = field(default_factory=BusEvents)
 
+    def append(self, other: Told) -> None:
+        """Add the results of logs that follow."""
+        self.tally.append(other.tally)
+        self.notes += other.notes
+        self.unseen = sorted({*self.unseen, *other.unseen})
+        self.bus.found += other.bus.found
+
 
 @dataclass(slots=True)
 class State:
