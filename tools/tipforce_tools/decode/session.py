@@ -1,7 +1,5 @@
 """One run of `tipforce decode`: from logs through the requested steps to the output and the report. The rows pass
-through this process, or workers decode and write the parts of the logs themselves: parts of a file that is joined from
-them, or of a dataset.
-"""
+through this process, or workers decode and write the parts of the logs themselves."""
 
 from __future__ import annotations
 
@@ -23,7 +21,7 @@ from tipforce.host.dataset.reader import tables_of_logs
 from tipforce.host.dataset.store import is_dataset, is_url
 from tipforce.host.decoding.log_part import Piece, Reading, StrictError
 from tipforce.host.decoding.recording import Recording, Tap, Told
-from tipforce.host.decoding.sample_table import Column, Table
+from tipforce.host.decoding.sample_table import Table
 from tipforce.host.frames.frame_array import MAX_CHANNELS
 from tipforce.host.logs.lines import is_plain, line_borders
 from tipforce.host.logs.reader import log_kind
@@ -203,7 +201,6 @@ class _Run:
         args = self._args
         reading = replace(self._reading, follow=False)  # a growing log is read again and again
         names = self.names if args.scheduler is None else [os.path.abspath(name) for name in self.names]
-
         cut, workers = partial(_pieces_from, args), partial(_workers, args, reading)
         run = DatasetRun(args.output, reading, self.told, args.hand, cut, workers)
         try:
@@ -269,9 +266,7 @@ def _looked_ahead(tables: Iterable[Table]) -> Iterator[Table]:
         first.append(table)
         if sum(map(len, first)) >= _FIRST_ROWS:
             break
-    columns: dict[str, Column] = {}
-    for table in first:
-        columns |= {column.name: column for column in table.columns}
+    columns = {column.name: column for table in first for column in table.columns}
     channels = first[-1].channels if first else ()
     if first and (len(columns) > len(first[0].columns) or len(first[0].channels) < len(channels)):
         first[0] = first[0].with_columns(columns.values(), channels)
@@ -339,8 +334,7 @@ def _check_readable(args: Namespace, told: Told) -> None:
     that is followed may have them later."""
     from tipforce.host.logs.notes import no_frame, no_sample
 
-    names = ", ".join(notes.source for notes in told.notes)
-    frames = sum(notes.frames for notes in told.notes)
+    names, frames = ", ".join(notes.source for notes in told.notes), sum(notes.frames for notes in told.notes)
     begun = _to_dataset(args) and not summaries.bad_lines(told)  # a log of a dataset may begin empty, and grow
     if told.notes and not frames and not args.follow and not begun:
         raise no_frame(names)
