@@ -19,10 +19,7 @@ from tipforce.host.frames.frame_array import FrameArray
 if TYPE_CHECKING:
     from canopen_device.eds.description import Entry
 
-RANGES = (
-    ("TPDO", communication.TPDO, communication.LAST_TPDO),
-    ("RPDO", communication.RPDO, communication.LAST_RPDO),
-)
+RANGES = (("TPDO", communication.TPDO, communication.LAST_TPDO), ("RPDO", communication.RPDO, communication.LAST_RPDO))
 """Kind of PDO, first and last index of its communication parameters."""
 
 Values: TypeAlias = Mapping[tuple[int, int], int]

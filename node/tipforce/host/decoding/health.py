@@ -13,15 +13,7 @@ from tipforce.arrays import BoolArray, IntArray, occurring
 from tipforce.dictionary import table as dictionary
 from tipforce.dictionary.signals import Message, Signal
 from tipforce.host.decoding.decoder import Samples
-from tipforce.host.decoding.sample_table import (
-    NO_COUNTER,
-    NO_FLAG,
-    NO_INTEGER,
-    Table,
-    flag,
-    in_order,
-    place_of,
-)
+from tipforce.host.decoding.sample_table import NO_COUNTER, NO_FLAG, NO_INTEGER, Table, flag, in_order, place_of
 from tipforce.host.frames.frame_array import FrameArray, heartbeats_and_emcys
 from tipforce.samples import reasons
 
