@@ -92,10 +92,9 @@ def test_the_verdicts_of_node_and_host_are_equal(n: int) -> None:
         np.testing.assert_allclose(covariance[:, k], samples[k].covariance(), rtol=1e-7, atol=1e-15)
     shown = ~(np.array([s.unknown() for s in samples]) & scalar.UNKNOWN_FORCE).astype(bool)
     np.testing.assert_array_equal(np.isfinite(found.values[:, 0]), shown)
-    np.testing.assert_allclose(found.values[shown, 0], [s.contact()[0] for s in np.array(samples)[shown]], rtol=1e-12)
-    np.testing.assert_allclose(
-        found.values[shown, 3], [s.uncertainty()[0] for s in np.array(samples)[shown]], rtol=1e-7
-    )
+    seen = np.array(samples)[shown]
+    np.testing.assert_allclose(found.values[shown, 0], [s.contact()[0] for s in seen], rtol=1e-12)
+    np.testing.assert_allclose(found.values[shown, 3], [s.uncertainty()[0] for s in seen], rtol=1e-7)
     bits = {bit for bit in range(16) for value in node.tolist() if value >> bit & 1}
     assert bits >= {13, 14, 15, *({12} if n > 3 else set()), *({0, 3, 6} if n == 8 else set())}
 
@@ -105,16 +104,9 @@ def test_decode_says_the_same(n: int) -> None:
     """The columns of `decode --calibration`, from gauges and temperature alone, in full precision."""
     calibration, samples = recorded(n)
     microstrain, temperature = strains(samples)
-    k = len(samples)
-    columns = [computed(f"SG{gauge + 1}", "microstrain", 1) for gauge in range(n)]
-    values = {column.name: microstrain[:, gauge] for gauge, column in enumerate(columns)}
     # Before a log tells a temperature it is unknown, later the last one holds: unknown again is not in a log.
     told = ~np.isnan(temperature)
-    columns.append(computed("temperature", ""))
-    values["temperature"] = temperature
-    table = Table(
-        np.arange(k) * 1_000_000, np.full(k, 5, np.uint16), np.arange(k), np.ones(k, np.bool_), tuple(columns), values
-    )
+    table = log_table(np.arange(len(samples)) * 1_000_000, microstrain, temperature=temperature)
     (found,) = ContactColumns({None: calibration}, None).tables([table])
     unresolved = np.array([s.faults >> 12 & 1 == 1 and s.solver is None for s in samples])
     for name, node in (
@@ -125,10 +117,8 @@ def test_decode_says_the_same(n: int) -> None:
         ("gauge_left_out", [s.spared for s in samples]),
     ):
         np.testing.assert_array_equal(found.values[name][told], np.array(node, dtype=np.int8)[told], name)
-    assert (
-        estimate(calibration, microstrain, temperature_degC=temperature).has(Status.FAULT).tolist()
-        == unresolved.tolist()
-    )
+    estimated = estimate(calibration, microstrain, temperature_degC=temperature)
+    assert estimated.has(Status.FAULT).tolist() == unresolved.tolist()
     hidden = np.array([bool(s.unknown() & scalar.UNKNOWN_FORCE) for s in samples])
     np.testing.assert_array_equal(np.isnan(found.values["P_N"])[told], hidden[told])
     shown = np.flatnonzero(told & ~hidden)

@@ -23,8 +23,7 @@ from tipforce.host.decoding.log_part import Reading
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce_tools import dataset as command
 from tipforce_tools.cli.main import main
-from tools.decode.datasets import globbed, rows_of_dataset, rows_of_logs
-from tools.decode.logs import decode, log_lines, write_log
+from tools.decode.logs import decode, globbed, log_lines, rows_of_dataset, rows_of_logs, write_log
 
 pytestmark = pytest.mark.filterwarnings("ignore:The inplace keyword")  # Dask calls pandas with it
 
