@@ -39,8 +39,7 @@ def opened(name: str) -> tuple[Store, Manifest]:
 
     need_pyarrow(name)
     store = Store(name)
-    manifest = read_manifest(store)
-    if manifest is None:
+    if (manifest := read_manifest(store)) is None:
         raise InputError(f"{name}: is not a dataset of `tipforce decode -o DIR/`")
     return store, manifest
 
