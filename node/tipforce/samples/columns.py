@@ -63,9 +63,8 @@ def contact_values(
 ) -> tuple[FloatArray, npt.NDArray[np.uint16]]:
     """P in newtons, phi and theta in degrees, (k, 3), of k samples of one finger, NaN where unknown; doubts, (k,).
 
-    As the node sent them where ``columns`` has P, phi and theta; else from F1, F2, F3; else from ``strain`` (k, n),
-    strain, and the calibration, without the gauges that the node left out. What ``status`` (k,) makes unknown is NaN as
-    on the node (scalar.unknown). The doubts are bits of ``Status`` that an estimate from the gauges adds.
+    As the node sent them where ``columns`` has P, phi and theta; else from F1, F2, F3; else from ``strain`` (k, n) and
+    the calibration. The doubts are bits of ``Status`` that an estimate from the gauges adds.
     """
     none = np.zeros(len(status), dtype=np.uint16)
     is_sent, has_forces = columns.keys() >= {"P", "phi", "theta"}, columns.keys() >= {"F1", "F2", "F3"}

@@ -1,5 +1,4 @@
-"""Samples as columns, the rows of a hand, and one sample as named values. What frames carry is kept as raw words; a
-column is made when it is first read."""
+"""Samples as columns, and the rows of a hand: raw words, of which a column is made when it is first read."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -65,11 +64,8 @@ class JoinedSamples:
         calibrations: Mapping[int, Calibration | None] | None = None,
         fingers: Sequence[int] = (), calibrated: bool = False,
     ) -> None:  # fmt: skip
-        """``gauges``: of each node; 0: as many as the PDOs carry.
-
-        ``calibrations``: by node-id, for the uncertainties, and for contacts that no PDO carries; ``calibrated``: of
-        nodes that have none, too. ``fingers``: the node-ids, where the samples are rows of these.
-        """
+        """``gauges``: of each node; 0: as many as the PDOs carry. ``calibrations``: by node-id; ``calibrated``: also
+        nodes that have none. ``fingers``: the node-ids, where the samples are rows of these."""
         self.t_ns = t_ns
         """(n,) time of reception."""
         self.node = node
@@ -289,8 +285,7 @@ def joined(rows: list[Rows]) -> Rows:
 
 
 class RowContacts:
-    """Makes the contacts of rows, each field when it is read; ``names`` and ``calibrations``: of ``node_ids``. Contacts
-    that no PDO carries are computed, all at once."""
+    """Makes the contacts of rows, each field when it is read; those that no PDO carries all at once."""
 
     def __init__(
         self, node_ids: Sequence[int], names: Sequence[str], calibrations: Sequence[Calibration | None] = ()

@@ -349,39 +349,26 @@ def _check(args: Namespace) -> None:
     not_of_mcap = {"--dbc": args.dbc, "--eds": args.eds, "--signals": args.signals, "--scheduler": args.scheduler}
     given = next((flag for flag, value in not_of_mcap.items() if value), "")
     source = next(filter(is_dataset, args.logs), "") if to_dataset else ""
-    refused = (
-        (
+    refused = {
+        f"{given}: MCAP has whole contacts and all frames; for {given} write .csv or .parquet":
             kind == "mcap" and given,
-            f"{given}: MCAP has whole contacts and all frames; for {given} write .csv or .parquet",
-        ),
-        (args.follow and len(args.logs) > 1, "--follow: allowed is one log, or one pattern and -o DIR/"),
-        (args.follow and args.scheduler, "--follow: a growing log is decoded locally; leave out --scheduler"),
-        (
+        "--follow: allowed is one log, or one pattern and -o DIR/": args.follow and len(args.logs) > 1,
+        "--follow: a growing log is decoded locally; leave out --scheduler": args.follow and args.scheduler,
+        "a log behind a URL is copied first: leave out --follow and --scheduler, or name a file":
             (args.follow or args.scheduler) and any(map(is_url, args.logs)),
-            "a log behind a URL is copied first: leave out --follow and --scheduler, or name a file",
-        ),
-        (
+        f"--format {args.format}: a dataset has Parquet files; name a file with --output":
             to_dataset and args.format not in {None, "parquet"},
-            f"--format {args.format}: a dataset has Parquet files; name a file with --output",
-        ),
-        (
+        f"--output {args.output}: a dataset has what the nodes sent, of log files: leave out --calibration, --resample "
+        "and stdin; apply a calibration when reading it":
             to_dataset and (args.calibration or args.resample is not None or "-" in args.logs or not args.logs),
-            f"--output {args.output}: a dataset has what the nodes sent, of log files: leave out --calibration, "
-            "--resample and stdin; apply a calibration when reading it",
-        ),
-        (source, f"{source}: is a dataset, and {args.output} is filled from logs; name the logs"),
-        (args.hand is not None and not to_dataset, "--hand: is a partition of a dataset; name one with --output DIR/"),
-        (
-            args.scheduler and (rows_pass_here or kind not in _JOINED),
-            "--scheduler: its workers write .csv, .jsonl, .parquet or DIR/: name one with --output, and leave out "
-            "--calibration and --resample",
-        ),
-        (
+        f"{source}: is a dataset, and {args.output} is filled from logs; name the logs": source,
+        "--hand: is a partition of a dataset; name one with --output DIR/": args.hand is not None and not to_dataset,
+        "--scheduler: its workers write .csv, .jsonl, .parquet or DIR/: name one with --output, and leave out "
+        "--calibration and --resample": args.scheduler and (rows_pass_here or kind not in _JOINED),
+        "--scheduler: --eds follows the SDO traffic of the logs in sequence; leave one out":
             args.scheduler and args.eds,
-            "--scheduler: --eds follows the SDO traffic of the logs in sequence; leave one out",
-        ),
-        (args.scheduler and not {*args.logs} - {"-"}, "--scheduler: name log files that its workers can read"),
-    )
-    for is_refused, why in refused:
+        "--scheduler: name log files that its workers can read": args.scheduler and not {*args.logs} - {"-"},
+    }  # fmt: skip
+    for why, is_refused in refused.items():
         if is_refused:
             raise InputError(why)

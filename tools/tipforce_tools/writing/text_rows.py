@@ -110,21 +110,14 @@ def instead(cells: Cells, where: npt.NDArray[np.bool_], text: bytes) -> Cells:
     """Return the cells with ``text`` in some rows."""
     if not where.any():
         return cells
-    missing = max(len(text) - cells.shape[1], 0)
-    out = np.pad(cells, ((0, 0), (0, missing)))
-    out[where] = 0
-    out[where, : len(text)] = np.frombuffer(text, dtype=np.uint8)
+    out = np.pad(cells, ((0, 0), (0, max(len(text) - cells.shape[1], 0))))
+    out[where] = np.frombuffer(text.ljust(out.shape[1], b"\0"), dtype=np.uint8)
     return out
 
 
 def chosen(where: npt.NDArray[np.bool_], text: bytes, otherwise: bytes = b"") -> Cells:
     """Return one text or the other for each row."""
-    width = max(len(text), len(otherwise), 1)
-    pair = np.zeros((2, width), dtype=np.uint8)
-    pair[0, : len(otherwise)] = np.frombuffer(otherwise, dtype=np.uint8)
-    pair[1, : len(text)] = np.frombuffer(text, dtype=np.uint8)
-    found: Cells = pair[where.astype(np.intp)]
-    return found
+    return word_cells(np.array([otherwise, text])[where.astype(np.intp)])
 
 
 def right(cells: Cells, width: int) -> Cells:

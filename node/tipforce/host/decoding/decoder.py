@@ -254,9 +254,9 @@ def unwrap_counter(counter: npt.ArrayLike, modulus: int = 256) -> npt.NDArray[np
 def lost_samples(counter: npt.ArrayLike, modulus: int = 256) -> int:
     """Return the number of samples missing from the counter (k,) of a PDO that is sent on every SYNC.
 
-    ``modulus``: 256, or the largest number of the SYNCs (1019h), after which they go on from 1 (``SyncModulus``); 0 is
-    then no SYNC's latch. A repeated value is a SYNC without a new sample (stale), not a loss. An 8-bit counter cannot
-    show 255 or 256 samples lost in a row (255 look like a repeat); a frame out of order counts as a loss of 254.
+    ``modulus``: 256, or the largest number of the SYNCs (1019h), after which they go on from 1; 0 is then no SYNC's
+    latch. A repeated value is no loss. 255 or 256 samples lost in a row do not show; a frame out of order counts as
+    254.
     """
     values = np.asarray(counter, dtype=np.int64)
     steps = np.diff(values if modulus == 256 else values[values > 0]) % modulus

@@ -87,12 +87,8 @@ class Before(NamedTuple):
 
 
 class Estimator:
-    """A calibration prepared for many readings: a call does arithmetic only.
-
-    ``estimator(gauges)`` gives the ``Contact`` of one reading (n,) of n gauges in microstrain, or the ``Contacts`` of k
-    readings (k, n) in time order; up to ``FEW`` in pure Python. Both are those of ``estimate``. Forces are newtons,
-    angles degrees. Sources: equations (1) and (16) of the paper; docs/uncertainty.md.
-    """
+    """A calibration prepared for many readings: a call does arithmetic only, of up to ``FEW`` readings in pure Python.
+    Sources: equations (1) and (16) of the paper; docs/uncertainty.md."""
 
     def __init__(self, calibration: Calibration, *, uncertainty: bool = True) -> None:
         """``uncertainty`` False: u_P, u_phi and u_theta are NaN, and BEYOND_FIRST_ORDER, which judges them, is not set.

@@ -30,10 +30,9 @@ SLOT = np.dtype([
     ("sender", "<u4"), ("group", "<u4"), ("shift", "<i2"), ("mask", "<i2"), ("message", "u1"), ("length", "u1"),
     ("cyclic", "u1"), ("used", "u1"), ("key", "<u2"), ("modulus", "<u2"),
 ])  # fmt: skip
-"""A message of a node. ``sender``: number of the node among all; ``group``: of messages whose frames are decoded
-together; ``shift`` and ``mask``: of the counter, shift -1 for none, and its ``modulus``; ``message``: ascending in the
-order in which a node sends its PDOs; ``length``: the least of a frame in bytes; ``cyclic``: it follows SYNC; ``used``:
-0 if it is left out; ``key``: channel and node."""
+"""A message of a node. ``sender``: the node's number; ``group``: of messages that are decoded together; ``shift``,
+``mask``, ``modulus``: of the counter, shift -1 for none; ``message``: ascending as a node sends its PDOs; ``length``:
+at least, bytes; ``cyclic``: it follows SYNC; ``used``: 0 if it is left out; ``key``: channel and node."""
 
 _MOST_COUNTER_BITS = 15
 Ints = npt.NDArray[np.int64]
