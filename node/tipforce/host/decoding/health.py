@@ -213,7 +213,10 @@ class HealthRows:
         values, none = table.values, np.zeros(len(table), dtype=np.bool_)
         emcy, state = (values[name] != NO_INTEGER if name in values else none for name in (EMCY, STATE))
         bits = {name: bit for name, bit in NAMES.items() if name in values}
-        told = none if not bits else np.logical_or.reduce([values[name] != NO_FLAG for name in bits])
+        told, faults = none, np.zeros(len(table), dtype=np.int64)
+        for name, bit in bits.items():
+            told, faults = told | (values[name] != NO_FLAG), faults | (values[name] == 1).astype(np.int64) << bit
+        mask = sum(1 << bit for bit in bits.values())
         for row in np.flatnonzero(emcy | state | told).tolist():
             key, time = int(table.key[row]), int(place[row])
             if emcy[row] or state[row]:
@@ -221,6 +224,5 @@ class HealthRows:
                 data = int(values[name][row]).to_bytes(8, "little", signed=True)[:length]
                 self._health.service(key, time, base, data)
             else:
-                faults = sum(1 << bit for name, bit in bits.items() if values[name][row] == 1)
-                self._health.pdo(key, time, faults, sum(1 << bit for bit in bits.values()))
+                self._health.pdo(key, time, int(faults[row]), mask)
         return emcy | state
