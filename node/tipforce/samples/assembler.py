@@ -41,11 +41,8 @@ class Assembler:
         self._complete: list[_Sample] = []
         self._rule, self._frames = SampleRule(), 0
         self._health = Health()
-        self.services = {
-            base + node_id: (node_id, base)
-            for base in (codes.EMCY_BASE, codes.HEARTBEAT_BASE)
-            for node_id in {node_id for node_id, _ in self.pdos.values()}
-        }
+        bases = codes.EMCY_BASE, codes.HEARTBEAT_BASE
+        self.services = {base + node_id: (node_id, base) for node_id, _ in self.pdos.values() for base in bases}
         """By identifier of an EMCY or a heartbeat: the node-id and the base."""
 
     def feed(self, frames: FrameArray, now_ns: int | None = None) -> JoinedSamples:
@@ -109,15 +106,11 @@ class Assembler:
 
     def _take(self) -> JoinedSamples:
         samples, self._complete = self._complete, []
-        columns = _columns(samples)
-        faults = np.array([sample.faults for sample in samples], dtype=np.int64)
-        columns |= {name: faults >> bit & 1 for name, bit in NAMES.items()}
-        return JoinedSamples(
-            np.array([sample.time_ns for sample in samples], dtype=np.int64),
-            np.array([sample.node_id for sample in samples], dtype=np.uint8),
-            np.array([sample.counter for sample in samples], dtype=np.int64),
-            columns, gauges=self._gauges, calibrations=self._calibrations,
-        )  # fmt: skip
+        heads = [(sample.time_ns, sample.node_id, sample.counter, sample.faults) for sample in samples]
+        t_ns, node, counter, faults = np.array(heads, dtype=np.int64).reshape(-1, 4).T
+        columns = _columns(samples) | {name: faults >> bit & 1 for name, bit in NAMES.items()}
+        node_id = node.astype(np.uint8)
+        return JoinedSamples(t_ns, node_id, counter, columns, gauges=self._gauges, calibrations=self._calibrations)
 
 
 def _columns(samples: Sequence[_Sample]) -> dict[str, Column]:

@@ -63,27 +63,22 @@ def contact_values(
 ) -> tuple[FloatArray, npt.NDArray[np.uint16]]:
     """P in newtons, phi and theta in degrees, (k, 3), of k samples of one finger, NaN where unknown; doubts, (k,).
 
-    As the node sent them where ``columns`` has P, phi and theta; else from F1, F2, F3; else from ``strain`` (k, n),
-    strain, and the calibration, without the gauges that the node left out. What ``status`` (k,) makes unknown is NaN as
-    on the node (scalar.unknown). The doubts are bits of ``Status`` that an estimate from the gauges adds.
+    As the node sent them where ``columns`` has P, phi and theta; else from F1, F2, F3; else from ``strain`` (k, n) and
+    the calibration. The doubts are bits of ``Status`` that an estimate from the gauges adds.
     """
     none = np.zeros(len(status), dtype=np.uint16)
-    if columns.keys() >= {"P", "phi", "theta"}:
-        return np.stack([columns[name] for name in ("P", "phi", "theta")], axis=-1).astype(np.float64), none
-    pull = calibration is not None and calibration.pull
-    if columns.keys() >= {"F1", "F2", "F3"}:
-        F = np.stack([columns[name] for name in ("F1", "F2", "F3")], axis=-1)
-        contact = estimate.contacts(F, pull=pull)
-    elif calibration is not None and calibration.gauges == strain.shape[-1]:
+    is_sent, has_forces = columns.keys() >= {"P", "phi", "theta"}, columns.keys() >= {"F1", "F2", "F3"}
+    if not is_sent and not has_forces and calibration is not None and calibration.gauges == strain.shape[-1]:
         return _estimated(columns, strain, status, calibration)
-    else:  # a mapping may have P alone
+    if is_sent or not has_forces:  # a mapping may have P alone
         unknown = np.full(len(status), np.nan)
-        return np.stack([columns.get(name, unknown) for name in ("P", "phi", "theta")], axis=-1).astype(
-            np.float64
-        ), none
+        sent = np.stack([columns.get(name, unknown) for name in ("P", "phi", "theta")], axis=-1)
+        return sent.astype(np.float64), none
+    F = np.stack([columns[name] for name in ("F1", "F2", "F3")], axis=-1)
+    contact = estimate.contacts(F, pull=calibration is not None and calibration.pull)
     values = np.stack([contact.P_newtons, np.degrees(contact.phi_rad), np.degrees(contact.theta_rad)], axis=-1)
     for value in np.unique(status).tolist():
-        lost = 0xFF if value & Status.NO_ANSWER else scalar.unknown(value & 0xFF, columns.keys() >= {"F1", "F2", "F3"})
+        lost = 0xFF if value & Status.NO_ANSWER else scalar.unknown(value & 0xFF, True)
         at = status == value
         for k, bit in enumerate((scalar.UNKNOWN_FORCE, scalar.UNKNOWN_PHI, scalar.UNKNOWN_THETA)):
             if lost & bit:

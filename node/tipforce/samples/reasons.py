@@ -1,5 +1,4 @@
-"""Why a value is unknown or doubtful, in words: the one table for everything that a person reads. A status has the bits
-of ``Status``: the status byte 2120h, three bits of the host, and bits 12 to 15 of 2124h."""
+"""Why a value is unknown or doubtful, in words: the one table for everything that a person reads."""
 
 from __future__ import annotations
 
@@ -133,14 +132,9 @@ CAUSES: dict[str, tuple[str, bool, set[str] | None]] = {
 
 def why_no_force(status: int) -> list[str]:
     """Why there is no force, the most specific reason first; empty where the status does not say."""
-    words = []
-    for bit in (NO_ANSWER, scalar.FRONT_END_FAULT, scalar.STALE, scalar.SATURATED):
-        if status & bit:
-            more = _INSTEAD.get(bit, 0)
-            words.append(WORDS[more if status & more else bit])
-    if not status & (NO_ANSWER | scalar.CALIBRATED):
-        words.append(NOT_CALIBRATED)
-    return words
+    bits = (bit for bit in (NO_ANSWER, scalar.FRONT_END_FAULT, scalar.STALE, scalar.SATURATED) if status & bit)
+    words = [WORDS[status & _INSTEAD.get(bit, 0) or bit] for bit in bits]
+    return words if status & (NO_ANSWER | scalar.CALIBRATED) else [*words, NOT_CALIBRATED]
 
 
 def why_no_angle(status: int, theta: bool = True) -> str:

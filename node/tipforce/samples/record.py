@@ -1,5 +1,4 @@
-"""Samples as columns, the rows of a hand, and one sample as named values. What frames carry is kept as raw words; a
-column is made when it is first read."""
+"""Samples as columns, and the rows of a hand: raw words, of which a column is made when it is first read."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import FloatArray
+from tipforce.arrays import BoolArray, FloatArray, IntArray, occurring
 from tipforce.dictionary import table
 from tipforce.dictionary.signals import Message, Signal
 from tipforce.host.configuration.calibration import Calibration
@@ -65,11 +64,8 @@ class JoinedSamples:
         calibrations: Mapping[int, Calibration | None] | None = None,
         fingers: Sequence[int] = (), calibrated: bool = False,
     ) -> None:  # fmt: skip
-        """``gauges``: of each node; 0: as many as the PDOs carry.
-
-        ``calibrations``: by node-id, for the uncertainties, and for contacts that no PDO carries; ``calibrated``: of
-        nodes that have none, too. ``fingers``: the node-ids, where the samples are rows of these.
-        """
+        """``gauges``: of each node; 0: as many as the PDOs carry. ``calibrations``: by node-id; ``calibrated``: also
+        nodes that have none. ``fingers``: the node-ids, where the samples are rows of these."""
         self.t_ns = t_ns
         """(n,) time of reception."""
         self.node = node
@@ -142,7 +138,7 @@ class JoinedSamples:
     def _by_node(self) -> Mapping[int, Any]:
         if self._fingers:
             return {node_id: slice(k, None, len(self._fingers)) for k, node_id in enumerate(self._fingers)}
-        nodes = np.unique(self.node).tolist()
+        nodes = occurring(self.node)
         return {n: np.flatnonzero(self.node == n) if len(nodes) > 1 else slice(None) for n in nodes}
 
     def contacts(self, names: Mapping[int, str] | None = None) -> Iterator[Contact]:
@@ -154,13 +150,10 @@ class JoinedSamples:
             name = (names or {}).get(node_id, "")
             if reason != PRESENT:
                 yield missing_contact(node_id, t_ns, reason, name)
-                continue
-            P, phi, theta = contact
-            u_P, u_phi, u_theta = u
-            flags, microstrain = Status(status), tuple(gauges)
-            yield Contact(
-                node_id, t_ns * 1e-9, counter, P, phi, theta, u_P, u_phi, u_theta, flags, microstrain, name
-            )  # fmt: skip
+            else:
+                (P, phi, theta), (u_P, u_phi, u_theta), t_s = contact, u, t_ns * 1e-9
+                flags, strain = Status(status), tuple(gauges)
+                yield Contact(node_id, t_s, counter, P, phi, theta, u_P, u_phi, u_theta, flags, strain, name)
 
 
 def missing_contact(node_id: int, t_ns: int, reason: int, name: str) -> Contact:
@@ -192,12 +185,12 @@ class Rows:
         return len(self.raw)
 
     @cached_property
-    def sync_ns(self) -> npt.NDArray[np.int64]:
+    def sync_ns(self) -> IntArray:
         """(m,) receive time of each SYNC; interpolated for one that was not received."""
         return np.array([t_ns for t_ns, *_ in self.raw], dtype=np.int64)
 
     @cached_property
-    def numbered(self) -> npt.NDArray[np.bool_]:
+    def numbered(self) -> BoolArray:
         """(m,) the SYNC carried a number, and each answer repeats it; False: the pairing is assumed from the order."""
         return np.array([number > 0 for _, number, *_ in self.raw], dtype=np.bool_)
 
@@ -214,10 +207,9 @@ class Rows:
         return self._of_fingers([row_reasons for _, _, _, row_reasons, _ in self.raw], np.uint8)
 
     @cached_property
-    def missing(self) -> npt.NDArray[np.bool_]:
+    def missing(self) -> BoolArray:
         """(m, k) no certain, complete answer of this finger."""
-        missing: npt.NDArray[np.bool_] = self.reason != PRESENT
-        return missing
+        return np.not_equal(self.reason, PRESENT)
 
     @cached_property
     def columns(self) -> Mapping[str, Column]:
@@ -293,8 +285,7 @@ def joined(rows: list[Rows]) -> Rows:
 
 
 class RowContacts:
-    """Makes the contacts of rows, each field when it is read; ``names`` and ``calibrations``: of ``node_ids``. Contacts
-    that no PDO carries are computed, all at once."""
+    """Makes the contacts of rows, each field when it is read; those that no PDO carries all at once."""
 
     def __init__(
         self, node_ids: Sequence[int], names: Sequence[str], calibrations: Sequence[Calibration | None] = ()
@@ -319,14 +310,12 @@ class RowContacts:
         contacts = rows.samples(self._calibrations).contacts(named)
         return [dict(enumerate(islice(contacts, len(named)))) for _ in rows.raw]
 
-    def _uncertainty(self, row: Row, place: int, quantity: int) -> float:
-        """Return that of P, phi or theta; those of a row are computed together."""
-        computed, u = self._computed
-        if computed is not row:
-            u = Rows(0, [row], self._node_ids, self.pdos).samples(self._calibrations).uncertainties.tolist()
-            self._computed = row, u
-        value: float = u[place][quantity]
-        return value
+    def _uncertainties(self, row: Row, place: int) -> Any:
+        """Return those of P, phi and theta; those of a row are computed together."""
+        if self._computed[0] is not row:
+            samples = Rows(0, [row], self._node_ids, self.pdos).samples(self._calibrations)
+            self._computed = row, samples.uncertainties.tolist()
+        return self._computed[1][place]
 
     def _maker(self, pdos: Sequence[Pdo]) -> Callable[[Row, int], Contact] | None:
         """Return ``make``: P, which everybody reads, is made at once, each other field when it is first read."""
@@ -353,9 +342,9 @@ class RowContacts:
             "counter": lambda row, place: row[2][place] >> counter & 0xFF,
             "phi_deg": value("phi"),
             "theta_deg": value("theta"),
-            "u_P_newtons": lambda row, place: self._uncertainty(row, place, 0),
-            "u_phi_deg": lambda row, place: self._uncertainty(row, place, 1),
-            "u_theta_deg": lambda row, place: self._uncertainty(row, place, 2),
+            "u_P_newtons": lambda row, place: self._uncertainties(row, place)[0],
+            "u_phi_deg": lambda row, place: self._uncertainties(row, place)[1],
+            "u_theta_deg": lambda row, place: self._uncertainties(row, place)[2],
             "status": lambda row, place: Status(row[2][status + place] >> shift & 0xFF),
             "microstrain": lambda row, place: tuple(gauge(row, place) for gauge in gauges),
             "name": lambda _row, place: self._names[place],

@@ -1,12 +1,10 @@
-"""The samples of a SYNC become a row of a hand: one row for each SYNC, with every finger's answer to it. A SYNC with a
-counter is numbered, and each answer carries the number in 2121h: it is assigned to its row by arithmetic, up to half
-the numbers late. Without numbers an answer is taken to be to the last SYNC before it; a finger that was missing may
-still send that to the SYNC before: so its next row stays open until the next SYNC, and two different answers in it are
-discarded.
+"""The samples of a SYNC become a row of a hand. An answer to a numbered SYNC carries the number in 2121h: it belongs to
+its row by arithmetic, up to half the numbers late. Without numbers an answer is taken to be to the last SYNC before it;
+a finger that was missing may still send that to the SYNC before: so its next row stays open until the next SYNC, and
+two different answers in it are discarded.
 
-Frames are processed one after another, as raw words: a bus gives a few at a time, for which numpy's calls cost more.
-While each SYNC follows the last and every answer is to it, the compiled core does so (``rows`` of _core.c), with a
-state of its own; the first other frame brings the state back (``_leave``), and the loop here goes on.
+While each SYNC follows the last and every answer is to it, the compiled core makes the rows (``rows`` of _core.c), with
+a state of its own; the first other frame brings the state back (``_leave``), and the loop here goes on.
 """
 
 import math
@@ -18,9 +16,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from canopen_device.core.codes import STANDARD_MASK, SYNC_COB_ID
+from tipforce.arrays import IntArray
 from tipforce.core import core
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.host.frames.frame_array import FIELDS, FrameArray
@@ -48,19 +46,19 @@ class RowTally:
     rows: int = 0
     unreceived: int = 0
     """SYNCs that were not received: their numbers were left out. Each has a row, up to a bound."""
-    missing: npt.NDArray[np.int64] = field(init=False)
+    missing: IntArray = field(init=False)
     """Rows without a certain, complete answer."""
-    delayed: npt.NDArray[np.int64] = field(init=False)
+    delayed: IntArray = field(init=False)
     """Answers that arrived after the next SYNC, and were assigned to their own row by its number."""
-    late: npt.NDArray[np.int64] = field(init=False)
+    late: IntArray = field(init=False)
     """Answers that arrived after their row was emitted."""
-    mixed: npt.NDArray[np.int64] = field(init=False)
+    mixed: IntArray = field(init=False)
     """Rows whose PDOs are from two samples; not possible where rows are numbered."""
-    repeated: npt.NDArray[np.int64] = field(init=False)
+    repeated: IntArray = field(init=False)
     """Rows whose sample the node marks stale: the SYNC is faster than its converter."""
-    doubtful: npt.NDArray[np.int64] = field(init=False)
+    doubtful: IntArray = field(init=False)
     """Values discarded because another one has the same number, or because their number is that of no SYNC."""
-    changed: npt.NDArray[np.int64] = field(init=False)
+    changed: IntArray = field(init=False)
     """Rows whose value is not shown, because its meaning was changed and not verified since."""
 
     def __post_init__(self) -> None:
@@ -100,14 +98,12 @@ class RowAssembler:
         fingers = len(self.node_ids)
         self._slots = fingers * len(self._pdos)
         # By identifier: slot (message and finger), finger, length of the PDO, place of its counter, mask of stale.
-        self._answers = {
-            pdo.message.cob_id_base + node_id: (
-                number * fingers + k, k, pdo.message.length_bytes, pdo.counter_shift,
-                pdo.stale_mask if pdo is self._pdos[-1] else 0,
-            )
-            for number, pdo in enumerate(self._pdos)
-            for k, node_id in enumerate(self.node_ids)
-        }  # fmt: skip
+        self._answers = {}
+        for number, pdo in enumerate(self._pdos):
+            stale = pdo.stale_mask if pdo is self._pdos[-1] else 0
+            for k, node_id in enumerate(self.node_ids):
+                answer = number * fingers + k, k, pdo.message.length_bytes, pdo.counter_shift, stale
+                self._answers[pdo.message.cob_id_base + node_id] = answer
         self._rows: dict[int, _OpenRow] = {}  # open ones, and closed ones of which the next SYNC decides an answer
         self._past: deque[Row] = deque(maxlen=LARGEST)  # the last ones, to which a late answer may belong
         # By row and slot, answers that the next SYNC decides on: the last row when it arrived, word, state if right.
@@ -233,10 +229,9 @@ class RowAssembler:
         if is_open:
             (opened_s,) = struct.unpack("<d", state[_OPENED].tobytes())
             row = _OpenRow(numbers.last_ns, opened_s, numbers.number, True, slots)
-            present = state[_STEADY + slots : _STEADY + 2 * slots].tolist()
-            row.words = [word & _WORD_MASK for word in state[_STEADY : _STEADY + slots]]
+            words, present = state[_STEADY : _STEADY + slots], state[_STEADY + slots : _STEADY + 2 * slots]
             row.states = [_LIVE if is_present else _EMPTY for is_present in present]
-            row.words = [word if is_present else 0 for word, is_present in zip(row.words, present, strict=True)]
+            row.words = [word & _WORD_MASK if known else 0 for word, known in zip(words, present, strict=True)]
             self._first, self._awaited, self._current = self._last, state[7], row
             self._opened_s = row.opened_s
             self._rows = {self._last: row}  # answers are held for none
@@ -283,11 +278,8 @@ class RowAssembler:
         self._gap_rows -= steps - 1
 
     def _settle(self, before: int) -> None:
-        """Store the held answers that the number of this SYNC decides on; the last one was that of row ``before``.
-
-        The count went on, so that they are right. One ahead of its SYNC is right if the SYNC was not received and it
-        came in its place, else doubtful.
-        """
+        """Store the held answers that the number of this SYNC decides on; the last one was that of row ``before``. One
+        ahead of its SYNC is right if the SYNC was not received and it came in its place, else doubtful."""
         for (row, slot), (last, word, state) in list(self._held.items()):
             if row <= self._last:
                 right = row <= last or (last == before and not self._rows[row].received)

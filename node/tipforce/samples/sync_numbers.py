@@ -7,12 +7,8 @@ RESTARTED = 0
 
 
 class SyncNumbers:
-    """Compare the numbers of consecutive SYNCs.
-
-    ``modulus``: the producer's overflow value, as far as known. The count of an ``own`` SYNC never restarts: a gap
-    means SYNCs that were not received. Another producer's may, with 1, among SYNCs that were not received; the time
-    tells. The first two count as consecutive where their numbers are.
-    """
+    """Compare the numbers of consecutive SYNCs. ``modulus``: the producer's overflow value, as far as known. The count
+    of an ``own`` SYNC never restarts; another's may, with 1, among SYNCs that were not received: the time tells."""
 
     def __init__(self, own: bool = False) -> None:
         self._own = own

@@ -13,7 +13,7 @@ from fingertip.finger import PUSH, finger, record
 from tipforce.fingertip.judgement import Judgement
 from tipforce.fingertip.node import Fingertip
 from tipforce.fingertip.sample import Sample
-from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.decoding import judged
 from tipforce.host.decoding.contact_columns import ContactColumns
 from tipforce.host.decoding.estimator import Before, Estimator, estimate
@@ -27,6 +27,7 @@ from tipforce.scene import beam_calibration
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.contact.scalar_redundancy import chi_square_threshold
+from tools.decode.logs import decode, rows_of, write_log
 
 NOISE = 5e-7
 BITS = judged.GAUGES | 0xF000
@@ -91,10 +92,9 @@ def test_the_verdicts_of_node_and_host_are_equal(n: int) -> None:
         np.testing.assert_allclose(covariance[:, k], samples[k].covariance(), rtol=1e-7, atol=1e-15)
     shown = ~(np.array([s.unknown() for s in samples]) & scalar.UNKNOWN_FORCE).astype(bool)
     np.testing.assert_array_equal(np.isfinite(found.values[:, 0]), shown)
-    np.testing.assert_allclose(found.values[shown, 0], [s.contact()[0] for s in np.array(samples)[shown]], rtol=1e-12)
-    np.testing.assert_allclose(
-        found.values[shown, 3], [s.uncertainty()[0] for s in np.array(samples)[shown]], rtol=1e-7
-    )
+    seen = np.array(samples)[shown]
+    np.testing.assert_allclose(found.values[shown, 0], [s.contact()[0] for s in seen], rtol=1e-12)
+    np.testing.assert_allclose(found.values[shown, 3], [s.uncertainty()[0] for s in seen], rtol=1e-7)
     bits = {bit for bit in range(16) for value in node.tolist() if value >> bit & 1}
     assert bits >= {13, 14, 15, *({12} if n > 3 else set()), *({0, 3, 6} if n == 8 else set())}
 
@@ -104,16 +104,9 @@ def test_decode_says_the_same(n: int) -> None:
     """The columns of `decode --calibration`, from gauges and temperature alone, in full precision."""
     calibration, samples = recorded(n)
     microstrain, temperature = strains(samples)
-    k = len(samples)
-    columns = [computed(f"SG{gauge + 1}", "microstrain", 1) for gauge in range(n)]
-    values = {column.name: microstrain[:, gauge] for gauge, column in enumerate(columns)}
     # Before a log tells a temperature it is unknown, later the last one holds: unknown again is not in a log.
     told = ~np.isnan(temperature)
-    columns.append(computed("temperature", ""))
-    values["temperature"] = temperature
-    table = Table(
-        np.arange(k) * 1_000_000, np.full(k, 5, np.uint16), np.arange(k), np.ones(k, np.bool_), tuple(columns), values
-    )
+    table = log_table(np.arange(len(samples)) * 1_000_000, microstrain, temperature=temperature)
     (found,) = ContactColumns({None: calibration}, None).tables([table])
     unresolved = np.array([s.faults >> 12 & 1 == 1 and s.solver is None for s in samples])
     for name, node in (
@@ -124,10 +117,8 @@ def test_decode_says_the_same(n: int) -> None:
         ("gauge_left_out", [s.spared for s in samples]),
     ):
         np.testing.assert_array_equal(found.values[name][told], np.array(node, dtype=np.int8)[told], name)
-    assert (
-        estimate(calibration, microstrain, temperature_degC=temperature).has(Status.FAULT).tolist()
-        == unresolved.tolist()
-    )
+    estimated = estimate(calibration, microstrain, temperature_degC=temperature)
+    assert estimated.has(Status.FAULT).tolist() == unresolved.tolist()
     hidden = np.array([bool(s.unknown() & scalar.UNKNOWN_FORCE) for s in samples])
     np.testing.assert_array_equal(np.isnan(found.values["P_N"])[told], hidden[told])
     shown = np.flatnonzero(told & ~hidden)
@@ -196,17 +187,26 @@ def test_decode_sees_a_gauge_that_stands_still(size: int) -> None:
     assert np.flatnonzero(np.isnan(P)).tolist() == list(range(82, 150))
 
 
-def test_the_age_of_the_tare_counts_in_read_log_as_in_decode(tmp_path: Path) -> None:
-    calibration, t_ns, microstrain = pushed(200)
-    calibration = replace(calibration, tare_drift_strain_per_s=1e-4)
+def test_read_log_and_decode_give_the_same(tmp_path: Path) -> None:
+    """With the age of the tare, and the temperature that TPDO4 sent last."""
+    calibration, _, microstrain = pushed(200)
+    calibration = replace(
+        calibration, tare_drift_strain_per_s=1e-4, offset_temperature_strain_per_K=np.array([2e-6, 1e-6, 0.0]),
+        temperature_min_degC=10.0, temperature_max_degC=30.0,
+    )  # fmt: skip
     frames = [row.tobytes().hex() for row in np.rint(10 * microstrain).astype("<i2")]
     lines = [f"({k / 1000:.6f}) can0 185#{row}03{k:02X}" for k, row in enumerate(frames)]
-    path = tmp_path / "run.log"
-    path.write_text("\n".join(lines) + "\n")
-    (found,) = ContactColumns({None: calibration}, None).tables([log_table(t_ns, microstrain)])
+    lines.insert(0, "(0.000000) can0 485#C409000000000000")  # 25 degC
+    path = write_log(tmp_path / "run.log", lines)
+    write_calibration(tmp_path / "cal.toml", calibration)
+    assert decode(path, "--calibration", tmp_path / "cal.toml", "-o", tmp_path / "run.csv") == 0
+    rows = [row for row in rows_of(tmp_path / "run.csv") if row["counter"]]
     log = read_log(path, calibration=calibration)[5]
-    np.testing.assert_allclose(log.u_P_newtons, found.values["u_P_N"], rtol=1e-12)
-    assert log.u_P_newtons[-1] > 2.0 * log.u_P_newtons[0]
+    sent = log.counter >= 0
+    for name, values in (("P_N", log.P_newtons), ("u_P_N", log.u_P_newtons)):
+        np.testing.assert_allclose(values[sent], [float(row[name]) for row in rows], atol=1e-6)
+    assert {row["temperature_outside"] for row in rows} == {"0"}
+    assert log.u_P_newtons[-1] > 2.0 * log.u_P_newtons[sent][0]
 
 
 def test_a_gauge_left_out_is_judged_with_the_temperature() -> None:

@@ -1,4 +1,4 @@
-"""Layouts from a DCF, from a node over SDO and from a DBC; counters over blocks."""
+"""Layouts from a DCF and from a DBC."""
 
 from pathlib import Path
 
@@ -8,12 +8,11 @@ import pytest
 from cantools.database.can import Database
 
 from canopen_device.core.codes import EXTENDED_FLAG
-from host.bus_with_nodes import connected, finger
 from tipforce.dictionary.eds import dcf_text, eds_text
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import Decoder
-from tipforce.host.decoding.pdo_layout import dbc_messages, dcf_layout, layout_decoder, node_layout
+from tipforce.host.decoding.pdo_layout import dbc_messages, dcf_layout, layout_decoder
 from tipforce.host.frames.frame_array import FRAME, FrameArray, frame_array
 
 DBC = Path(__file__).parents[3] / "dbc" / "tipforce.dbc"
@@ -109,17 +108,6 @@ def test_layouts_of_one_decoder_have_to_agree(tmp_path: Path) -> None:
         layout_decoder([three, dcf_layout(path, 2)])
     with pytest.raises(InputError, match="each node has one layout"):
         layout_decoder([three, three])
-
-
-def test_a_node_is_asked_over_sdo() -> None:
-    with connected(finger(4)) as (connection, _):
-        layout = node_layout(connection.sdo(4))
-    assert (layout.node_id, layout.gauges) == (4, 3)
-    assert layout.pdos["Contact"] == (0x284, DEFAULTS["Contact"].mapping)
-    assert layout.pdos["Health"][0] == 0
-    assert set(layout_decoder([layout]).decode(random_frames([0x184, 0x284, 0x285, 0x484], 50, 1))) == {
-        (4, "Gauges"), (4, "Contact"),
-    }  # fmt: skip
 
 
 def test_our_own_dbc_is_the_dictionary() -> None:

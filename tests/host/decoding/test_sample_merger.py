@@ -48,9 +48,8 @@ def rows(frames: FrameArray, cuts: Iterable[int] = ()) -> list[Row]:
     for table in tables_of(frames, cuts)[0]:
         columns = [(c.name, table.values[c.name].tolist()) for c in sorted(table.columns, key=lambda c: c.name)]
         for k in range(len(table)):
-            values = tuple(
-                (name, repr(v[k])) for name, v in columns if repr(v[k]) not in {"nan", "-1", str(-(1 << 63))}
-            )
+            cells = [(name, repr(v[k])) for name, v in columns]
+            values = tuple(cell for cell in cells if cell[1] not in {"nan", "-1", str(-(1 << 63))})
             found.append((int(table.t_ns[k]), int(table.key[k]), int(table.counter[k]), values))
     return found
 
@@ -115,10 +114,8 @@ def test_of_a_sample_the_first_pdo_that_has_a_value_counts(names: tuple[str, str
     frames["data"][frames["can_id"] == BASES["gauges"] + 1, 6] = Status.STALE
     frames["data"][frames["can_id"] == BASES["contact"] + 1, 6] = Status.FAULT
     tables, _ = tables_of(frames)
-    stale = np.concatenate([table.values["stale"] for table in tables])
-    fault = np.concatenate([table.values["fault"] for table in tables])
-    joined = names[0] == "gauges"
-    assert (stale.tolist(), fault.tolist()) == (([1], [0]) if joined else ([0, 1], [1, 0]))
+    stale, fault = (np.concatenate([table.values[name] for table in tables]).tolist() for name in ("stale", "fault"))
+    assert (stale, fault) == (([1], [0]) if names[0] == "gauges" else ([0, 1], [1, 0]))
 
 
 @given(st.lists(st.integers(0, 255), max_size=40), st.lists(st.integers(0, 40), max_size=4))

@@ -122,15 +122,7 @@ def test_the_core_refuses_what_does_not_fit() -> None:
     assert core.join(*good) == (0, 0, 0, [], [], [])
     far = LAYOUTS.copy()
     far["group"] = len(LAYOUTS)
-    bad = [
-        (1, slots[:1]),
-        (1, slots + len(LAYOUTS)),
-        (2, LAYOUTS[:0]),
-        (2, far),
-        (4, 1 << 62),
-        (5, -1),
-        (8, good[8][:5]),
-    ]
-    for place, value in [*bad, (3, np.full(1, 1 << 62))]:
+    bad = (1, slots[:1]), (1, slots + len(LAYOUTS)), (2, LAYOUTS[:0]), (2, far), (4, 1 << 62), (5, -1), (8, good[8][:5])
+    for place, value in (*bad, (3, np.full(1, 1 << 62))):
         with pytest.raises(ValueError, match="join"):
             core.join(*[value if k == place else given for k, given in enumerate(good)])

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from host.bus_with_nodes import beam_calibration, connected, finger, new_channel
 from tipforce.host.configuration.calibration import Calibration, write_calibration
+from tipforce.host.decoding.pdo_layout import node_layout
 from tipforce.host.decoding.sample_table import Column, Table
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -195,4 +196,7 @@ def test_layout_of_a_node_that_is_asked(tmp_path: Path) -> None:
         log = write_log(tmp_path / "a.log", ["(1700000000.000000) can0 3F4#E80364006400030A"])
         words = ["--ask", "4", "-i", "virtual", "-c", channel, "-o", tmp_path / "a.csv"]
         assert decode(log, *words) == 0
+        layout = node_layout(sdo)
     assert [(row["node"], row["P_N"]) for row in rows_of(tmp_path / "a.csv")] == [("4", "1.000")]
+    ids = {name: can_id for name, (can_id, _) in layout.pdos.items()}
+    assert ids == {"Gauges": 0x184, "Contact": 0x3F4, "Force": 0, "Health": 0}

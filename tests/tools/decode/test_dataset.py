@@ -23,8 +23,7 @@ from tipforce.host.dataset.reader import opened, tally
 from tipforce.host.dataset.store import FOLDER, Store, is_dataset
 from tipforce_tools.cli.main import main
 from tipforce_tools.decode import session
-from tools.decode.datasets import globbed, rows_of_dataset, rows_of_logs
-from tools.decode.logs import decode, log_lines, rows_of, write_log
+from tools.decode.logs import decode, globbed, log_lines, rows_of, rows_of_dataset, rows_of_logs, write_log
 
 COMMAND = [sys.executable, "-m", "tipforce_tools.cli.main"]
 

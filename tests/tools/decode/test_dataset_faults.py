@@ -12,8 +12,7 @@ from tipforce.host.dataset.reader import opened
 from tipforce.host.dataset.store import FOLDER, Store, is_dataset
 from tipforce_tools.cli.main import main
 from tipforce_tools.decode import dataset_run, session
-from tools.decode.datasets import globbed, rows_of_dataset, rows_of_logs
-from tools.decode.logs import decode, log_lines, write_log
+from tools.decode.logs import decode, globbed, log_lines, rows_of_dataset, rows_of_logs, write_log
 
 
 @pytest.fixture(autouse=True)

@@ -21,10 +21,9 @@ from bench.scale import month
 from tipforce.host.dataset.reader import opened, tables
 from tipforce.host.decoding.log_part import Reading
 from tipforce.host.decoding.pdo_layout import Layouts
+from tipforce_tools import dataset as command
 from tipforce_tools.cli.main import main
-from tipforce_tools.dataset import sql
-from tools.decode.datasets import globbed, rows_of_dataset, rows_of_logs
-from tools.decode.logs import decode, log_lines, write_log
+from tools.decode.logs import decode, globbed, log_lines, rows_of_dataset, rows_of_logs, write_log
 
 pytestmark = pytest.mark.filterwarnings("ignore:The inplace keyword")  # Dask calls pandas with it
 
@@ -214,7 +213,7 @@ def test_what_is_not_of_the_dataset_is_refused(
 ) -> None:
     (dataset / "home").mkdir(exist_ok=True)
     monkeypatch.chdir(dataset)
-    monkeypatch.setattr(sql, "MEMORY_MIB", 200)
+    monkeypatch.setattr(command, "MEMORY_MIB", 200)
     monkeypatch.setenv("HOME", str(dataset / "home"))
     before, limit = contents(dataset), resource.getrlimit(resource.RLIMIT_AS)
     for name, path in (

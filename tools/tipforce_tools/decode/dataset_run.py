@@ -15,17 +15,16 @@ import msgspec
 import tipforce
 from canopen_device.visible_text import visible
 from tipforce.errors import InputError
+from tipforce.host.dataset import manifest as manifests
 from tipforce.host.dataset.manifest import (
-    EVENTS,
-    ROWS,
     Change,
+    DataFile,
     Manifest,
     Part,
     Source,
     commit,
     files_of,
     read_manifest,
-    remove_replaced,
     run_lock,
 )
 from tipforce.host.dataset.reader import need_pyarrow
@@ -35,7 +34,7 @@ from tipforce.host.decoding.recording import Recording, State, Told
 from tipforce.host.decoding.sample_table import Column
 from tipforce.host.logs.lines import decompressed, open_file
 from tipforce.host.logs.reader import log_kind
-from tipforce_tools.decode.workers import InOrder, Sink, Workers, Written
+from tipforce_tools.decode.workers import Done, InOrder, Sink, Workers, Written
 from tipforce_tools.writing.dataset_files import BASE, DatasetSink, events_file, joined_parts
 from tipforce_tools.writing.writers import Shape
 
@@ -55,9 +54,10 @@ def begin_hash(name: str) -> str:
     return hashlib.sha256(start[:_COMPARED_BYTES]).hexdigest()
 
 
-def is_whole(path: Path, size: int) -> bool:
-    """Return whether a file is there, with its size in bytes."""
-    return path.is_file() and path.stat().st_size == size
+def is_whole(root: Path, file: DataFile) -> bool:
+    """Return whether a file of a dataset is there, with its size."""
+    path = root / file.path
+    return path.is_file() and path.stat().st_size == file.bytes
 
 
 def hash_of(name: str, start: int, end: int) -> str:
@@ -121,14 +121,12 @@ class DatasetRun:
         workers: Callable[[Sink, int], Workers],
     ) -> None:  # fmt: skip
         """``told`` gets what the logs tell besides rows. Raises InputError for a directory of other files."""
-        self._cut, self._workers = cut, workers
+        self._cut, self._workers, self._reading, self._hand = cut, workers, reading, hand
         need_pyarrow(directory)
-        self._reading = reading
         self.store = Store(directory)
         self.manifest = read_manifest(self.store) or _new(self.store)
         self._options = options_of(reading, hand)
         self._token = uuid.uuid4().hex[:12]
-        self._hand = hand
         self._change = Change()
         self._committed, self._cost_s = time.monotonic(), 0.0
         self._parts = 0
@@ -143,7 +141,7 @@ class DatasetRun:
         Raises InputError, WriteError, OSError; what was committed stays. What ends the iteration ends the run."""
         with run_lock(self.store, self._token):
             self.manifest = read_manifest(self.store) or _new(self.store)
-            remove_replaced(self.store, self.manifest)
+            manifests.remove_replaced(self.store, self.manifest)
             names = [name for name in names if os.path.getsize(name)] or names[:1]  # empty logs do not differ
             for chains in (self._repairs, self._chains):
                 for chain in list(chains(names)):
@@ -175,15 +173,13 @@ class DatasetRun:
         for name in names if root is not None else ():
             source = self._known(name)
             parts = [part for part in self.manifest.parts if source is not None and part.source == source.id]
-            if source is None or root is None or all(is_whole(root / one.path, one.bytes) for one in files_of(parts)):
+            if source is None or root is None or all(is_whole(root, file) for file in files_of(parts)):
                 continue
             if os.path.getsize(name) > source.size:
                 self._grown(source, name)
-            before = self.manifest.source(source.after or "")
-            ends = self._follower(source) is None
-            yield _Chain(
-                before.end if before is not None else None, [_Log(source, 0, [part.id for part in parts])], ends
-            )
+            before = self.manifest.source(source.after)
+            log = _Log(source, 0, [part.id for part in parts])
+            yield _Chain(None if before is None else before.end, [log], self._follower(source) is None)
 
     def _known(self, name: str) -> Source | None:
         """Return the log if the dataset has it, by its content. Raises InputError if it was decoded in another way."""
@@ -198,23 +194,19 @@ class DatasetRun:
             elif tail_hash(name, source.size) == source.tail_sha256 and (found is None or source.size > found.size):
                 found = source
         if found is None and longer is not None:
-            raise InputError(
-                f"{name}: is shorter than what the dataset has of it ({longer.size} bytes): name the whole log"
-            )
+            size = longer.size
+            raise InputError(f"{name}: is shorter than what the dataset has of it ({size} bytes): name the whole log")
         if found is not None and found.options != self._options:
-            raise InputError(
-                f"{name}: the dataset has it decoded with {found.options}, now it is {self._options}; "
-                "choose another directory"
-            )
+            decoded = f"{found.options}, now it is {self._options}"
+            raise InputError(f"{name}: the dataset has it decoded with {decoded}; choose another directory")
         # A dataset may outlive the place of its logs.
         return found and msgspec.structs.replace(found, name=str(name))
 
     def _new_source(self, name: str, before: Source | None) -> Source:
         head = min(os.path.getsize(name), HASHED_BYTES)
         # The same for two writers, so that one of them learns of the other.
-        digest = hash_of(name, 0, head)
-        begin = begin_hash(name)
-        known = {one.begin_sha256: one.name for one in self.manifest.sources} | self._begins
+        digest, begin = hash_of(name, 0, head), begin_hash(name)
+        known = {source.begin_sha256: source.name for source in self.manifest.sources} | self._begins
         if begin in known:
             raise InputError(
                 f"{name}: begins like {known[begin]}: it is a copy, or one was changed, packed or shortened; leave one "
@@ -229,8 +221,7 @@ class DatasetRun:
         )  # fmt: skip
 
     def _grown(self, source: Source, name: str) -> _Chain:
-        follower = self._follower(source)
-        if follower is not None:
+        if (follower := self._follower(source)) is not None:
             raise InputError(f"{name}: has grown after {follower.name} was added behind it; use another directory")
         return self._again(source)
 
@@ -261,43 +252,32 @@ class DatasetRun:
         shape = Shape(BASE)
         shape.take(self.manifest.columns, ())
         state = recording.state()
-        for written in InOrder(pieces, recording, shape, self._workers(sink, len(pieces)), ends=chain.ends):
-            assert written.state is not None
-            last = written.number == len(pieces) - 1
-            self._take(written, logs[written.number], sink.names[written.number], state, last and chain.ends)
-            state = written.state
+        for number, done in enumerate(InOrder(pieces, recording, shape, self._workers(sink, len(pieces)), chain.ends)):
+            last = number == len(pieces) - 1
+            self._take(done, logs[number], sink.names[number], state, last and chain.ends)
+            state = done.state
             if last:
-                told, here = recording.told, self.told
-                here.notes += told.notes
-                here.tally.append(told.tally)
-                here.unseen = sorted({*here.unseen, *told.unseen})
-                here.bus.found += told.bus.found
-            yield written
+                self.told.append(recording.told)
+            yield done.written
             due = time.monotonic() - self._committed > max(_COMMIT_S, _COMMIT_SHARE * self._cost_s)
             if last or (due and recording.told.tally.messages):  # what is not a log of fingertips is not committed
                 self._commit()
 
-    def _take(self, written: Written, log: _Log, name: str, before: State, last: bool) -> None:
-        assert written.state is not None
+    def _take(self, done: Done, log: _Log, name: str, before: State, last: bool) -> None:
+        written, state, notes, events = done
         piece = written.piece
         end = log.size if piece.end is None else piece.end
         log.source = msgspec.structs.replace(
             log.source, name=visible(url_of(piece.name)), size=end, tail_sha256=tail_hash(piece.name, end),
-            flushed=last, last_part_start=piece.start, before_last_part=before, end=written.state,
+            flushed=last, last_part_start=piece.start, before_last_part=before, end=state,
             version=tipforce.__version__,
         )  # fmt: skip
         self._change.sources[log.source.id] = log.source
-        events = events_file(self.store, self._token, name, written.events)
-        calibrations = [
-            (event.channel, event.node_id, event.code, event.t_ns)
-            for event in written.events
-            if event.kind == "calibration"
-        ]
-        self._change.parts.append(
-            Part(
-                name, log.source.id, piece.start, end, written.frames, written.bad, written.record, events, calibrations
-            )
-        )
+        self._change.parts.append(Part(
+            name, log.source.id, piece.start, end, notes.frames, notes.bad, written.record,
+            events_file(self.store, self._token, name, events),
+            [(event.channel, event.node_id, event.code, event.t_ns) for event in events if event.kind == "calibration"],
+        ))  # fmt: skip
         known = {column.name for column in self._change.columns}
         columns = (column for column in written.shape.columns if isinstance(column, Column))
         self._change.columns += [column for column in columns if column.name not in known]
@@ -321,7 +301,7 @@ class DatasetRun:
         stay = [part for part in stay if any(file.path in gone for file in files_of([part]))]
         if stay:
             root = self.store.local  # a file that is damaged stays, until all its logs are added again
-            damaged = {path for path, one in gone.items() if root is not None and not is_whole(root / path, one.bytes)}
+            damaged = {path for path, file in gone.items() if root is not None and not is_whole(root, file)}
             self._parts += 1
             name = f"{stay[0].source}-{stay[0].start:014d}-{self._parts}-{self._token}"
             change.removed |= {part.id for part in stay}
@@ -330,6 +310,6 @@ class DatasetRun:
 
 def _new(store: Store) -> Manifest:
     names = store.names("")  # behind a URL, a run that ended early leaves files and no manifest
-    if FOLDER not in names and any(name not in (ROWS, EVENTS) for name in names):
+    if FOLDER not in names and any(name not in (manifests.ROWS, manifests.EVENTS) for name in names):
         raise InputError(f"--output {store.name}/: is not empty and not a dataset; choose another directory")
     return Manifest()

@@ -1,5 +1,4 @@
-"""The steps on tables between the logs and the output: contact by a calibration, and a uniform grid. A grid has the
-mean of each interval, per node; angles by the mean of their directions."""
+"""The steps on tables between the logs and the output: contact by a calibration, and a uniform grid."""
 
 from __future__ import annotations
 
@@ -10,17 +9,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray, IntArray
 from tipforce.errors import InputError
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.sample_table import (
     NO_COUNTER,
-    NODE_BITS,
     Column,
     Table,
     Values,
     counted,
     in_order,
     is_missing,
+    node_of,
 )
 from tipforce_tools.cli import log_choice
 
@@ -30,9 +30,6 @@ MOST_EMPTY = 10_000_000
 _ROWS = 100_000  # of a table: empty intervals need no more memory than samples
 _NO_DIRECTION = 1e-9  # length of a mean of unit vectors that cancel: it has no direction
 _MORE_DIGITS = 3  # additional digits of a mean
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 
 class _Groups(NamedTuple):
@@ -48,11 +45,8 @@ class _Groups(NamedTuple):
 
 
 class Resampler:
-    """Make tables with a row per interval of 1 / ``rate_hz`` from a node's first sample to its last; ``t_ns`` is its
-    start, a multiple of that since the epoch, `count` its samples, `n_P_N` the values in the mean.
-
-    No value: NaN and 0. A flag becomes the share of samples in which it was set.
-    """
+    """Make tables with the means of each interval of 1 / ``rate_hz`` from a node's first sample to its last, of angles
+    by their directions; `count`: its samples, `n_P_N` the values in the mean; of a flag the share where it was set."""
 
     def __init__(self, rate_hz: float, asked: Sequence[str] | None = None) -> None:
         """``asked``: signals in the order of the columns. Raises InputError for a rate that is not above 0."""
@@ -125,7 +119,7 @@ class Resampler:
 
     def _check_empty(self, groups: _Groups, empty: IntArray) -> None:
         if empty.sum() > MOST_EMPTY:
-            node = int(groups.key[int(np.argmax(empty))]) & ((1 << NODE_BITS) - 1)
+            node = node_of(int(groups.key[int(np.argmax(empty))]))
             raise InputError(
                 f"--resample {self._rate_hz:g}: {empty.sum()} intervals without a sample, most of node {node}: "
                 "choose a lower rate, or a part of the log with --from and --to"
@@ -162,15 +156,11 @@ def _contributions(column: Column, values: Values) -> FloatArray:
     valid = ~is_missing(column, values)
     if column.kind == "real":
         valid &= np.isfinite(values)
-    found = np.zeros((len(values), 3))
-    found[:, 0] = valid
     numbers = np.where(valid, values, 0).astype(np.float64)
-    if _circular(column):
-        angle = np.radians(numbers)
-        found[:, 1], found[:, 2] = np.where(valid, np.sin(angle), 0.0), np.where(valid, np.cos(angle), 0.0)
-    else:
-        found[:, 1] = numbers
-    return found
+    if not _circular(column):
+        return np.stack([valid, numbers, np.zeros(len(values))], axis=-1)
+    angle = np.radians(numbers)
+    return np.stack([valid, np.where(valid, np.sin(angle), 0.0), np.where(valid, np.cos(angle), 0.0)], axis=-1)
 
 
 def _circular(column: Column) -> bool:
@@ -191,16 +181,12 @@ def _mean(column: Column, sums: FloatArray) -> Values:
 Step = Callable[[Iterable[Table]], Iterable[Table]]
 
 
-def _same(tables: Iterable[Table]) -> Iterable[Table]:
-    return tables
-
-
 def steps_of(args: Namespace) -> tuple[Layouts, tuple[str, ...] | None, Step, Step]:
     """Return the layouts and signals to read, and two steps: contact by a calibration, and a grid. Raises InputError. A
     step that is not asked for returns the tables as they are."""
     names = log_choice.names_of(args.signals)
     layouts, calibrations = log_choice.layouts(args)
-    contact: Step = _same
+    contact: Step = iter
     if calibrations:
         from tipforce.host.decoding import contact_columns
 
@@ -212,4 +198,4 @@ def steps_of(args: Namespace) -> tuple[Layouts, tuple[str, ...] | None, Step, St
         signals = contact_columns.signals_needed(asked, calibrations)
     else:
         asked = signals = log_choice.checked_signals(layouts, names)
-    return layouts, signals, contact, _same if args.resample is None else Resampler(args.resample, asked).tables
+    return layouts, signals, contact, iter if args.resample is None else Resampler(args.resample, asked).tables

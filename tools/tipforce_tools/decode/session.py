@@ -1,7 +1,5 @@
 """One run of `tipforce decode`: from logs through the requested steps to the output and the report. The rows pass
-through this process, or workers decode and write the parts of the logs themselves: parts of a file that is joined from
-them, or of a dataset.
-"""
+through this process, or workers decode and write the parts of the logs themselves."""
 
 from __future__ import annotations
 
@@ -23,7 +21,7 @@ from tipforce.host.dataset.reader import tables_of_logs
 from tipforce.host.dataset.store import is_dataset, is_url
 from tipforce.host.decoding.log_part import Piece, Reading, StrictError
 from tipforce.host.decoding.recording import Recording, Tap, Told
-from tipforce.host.decoding.sample_table import Column, Table
+from tipforce.host.decoding.sample_table import Table
 from tipforce.host.frames.frame_array import MAX_CHANNELS
 from tipforce.host.logs.lines import is_plain, line_borders
 from tipforce.host.logs.reader import log_kind
@@ -153,7 +151,7 @@ class _Run:
                     mcap = McapWriter(stream)
                     for table in looked_ahead(self._tables(advance, mcap.frames)):
                         mcap.write(table)
-                    mcap.close(self.told.events())
+                    mcap.close(self.told.bus.found)
                     return
                 writer = StreamWriter(stream, kind, base)
                 for table in looked_ahead(self._tables(advance)):
@@ -170,7 +168,7 @@ class _Run:
             assert file is not None
             with JoinedFile(file, self._kind, shape) as output:
                 workers = _workers(self._args, self._reading, output, len(pieces))
-                for written in InOrder(pieces, self._recording, shape, workers):
+                for written, *_ in InOrder(pieces, self._recording, shape, workers):
                     self.summary.append(written.summary)
                     output.add(written.record, written.shape)
                     advance(_size(written.piece))
@@ -186,7 +184,7 @@ class _Run:
             _check_readable(self._args, self.told)
             if file is not None:
                 file.keep()
-                summaries.write_events(output, self.told.events())
+                summaries.write_events(output, self.told.bus.found)
         except OSError as error:
             if file is None:
                 raise
@@ -203,7 +201,6 @@ class _Run:
         args = self._args
         reading = replace(self._reading, follow=False)  # a growing log is read again and again
         names = self.names if args.scheduler is None else [os.path.abspath(name) for name in self.names]
-
         cut, workers = partial(_pieces_from, args), partial(_workers, args, reading)
         run = DatasetRun(args.output, reading, self.told, args.hand, cut, workers)
         try:
@@ -246,7 +243,7 @@ class _Run:
             lost = sum(told.tally.lost().values())
             samples, nodes = counted(summary.samples.total(), "sample"), counted(len(summary.samples), "node")
             common.note(f"{args.output}: {samples} of {nodes}, {lost} lost")
-            if (events := told.events()) and not _to_dataset(args):
+            if (events := told.bus.found) and not _to_dataset(args):
                 common.note(f"{summaries.events_path(args.output)}: {counted(len(events), 'event')}")
 
 
@@ -269,9 +266,7 @@ def _looked_ahead(tables: Iterable[Table]) -> Iterator[Table]:
         first.append(table)
         if sum(map(len, first)) >= _FIRST_ROWS:
             break
-    columns: dict[str, Column] = {}
-    for table in first:
-        columns |= {column.name: column for column in table.columns}
+    columns = {column.name: column for table in first for column in table.columns}
     channels = first[-1].channels if first else ()
     if first and (len(columns) > len(first[0].columns) or len(first[0].channels) < len(channels)):
         first[0] = first[0].with_columns(columns.values(), channels)
@@ -339,13 +334,12 @@ def _check_readable(args: Namespace, told: Told) -> None:
     that is followed may have them later."""
     from tipforce.host.logs.notes import no_frame, no_sample
 
-    names = ", ".join(notes.source for notes in told.notes)
-    frames = sum(notes.frames for notes in told.notes)
+    names, frames = ", ".join(notes.source for notes in told.notes), sum(notes.frames for notes in told.notes)
     begun = _to_dataset(args) and not summaries.bad_lines(told)  # a log of a dataset may begin empty, and grow
     if told.notes and not frames and not args.follow and not begun:
         raise no_frame(names)
     narrowed = args.signals or args.calibration or args.follow or log_choice.narrowing_flags(args)
-    if frames and not told.tally.messages and not told.tally.short and not told.events() and not narrowed:
+    if frames and not told.tally.messages and not told.tally.short and not told.bus.found and not narrowed:
         raise no_sample(names, frames, sum(notes.extended for notes in told.notes))
 
 
@@ -355,39 +349,26 @@ def _check(args: Namespace) -> None:
     not_of_mcap = {"--dbc": args.dbc, "--eds": args.eds, "--signals": args.signals, "--scheduler": args.scheduler}
     given = next((flag for flag, value in not_of_mcap.items() if value), "")
     source = next(filter(is_dataset, args.logs), "") if to_dataset else ""
-    refused = (
-        (
+    refused = {
+        f"{given}: MCAP has whole contacts and all frames; for {given} write .csv or .parquet":
             kind == "mcap" and given,
-            f"{given}: MCAP has whole contacts and all frames; for {given} write .csv or .parquet",
-        ),
-        (args.follow and len(args.logs) > 1, "--follow: allowed is one log, or one pattern and -o DIR/"),
-        (args.follow and args.scheduler, "--follow: a growing log is decoded locally; leave out --scheduler"),
-        (
+        "--follow: allowed is one log, or one pattern and -o DIR/": args.follow and len(args.logs) > 1,
+        "--follow: a growing log is decoded locally; leave out --scheduler": args.follow and args.scheduler,
+        "a log behind a URL is copied first: leave out --follow and --scheduler, or name a file":
             (args.follow or args.scheduler) and any(map(is_url, args.logs)),
-            "a log behind a URL is copied first: leave out --follow and --scheduler, or name a file",
-        ),
-        (
+        f"--format {args.format}: a dataset has Parquet files; name a file with --output":
             to_dataset and args.format not in {None, "parquet"},
-            f"--format {args.format}: a dataset has Parquet files; name a file with --output",
-        ),
-        (
+        f"--output {args.output}: a dataset has what the nodes sent, of log files: leave out --calibration, --resample "
+        "and stdin; apply a calibration when reading it":
             to_dataset and (args.calibration or args.resample is not None or "-" in args.logs or not args.logs),
-            f"--output {args.output}: a dataset has what the nodes sent, of log files: leave out --calibration, "
-            "--resample and stdin; apply a calibration when reading it",
-        ),
-        (source, f"{source}: is a dataset, and {args.output} is filled from logs; name the logs"),
-        (args.hand is not None and not to_dataset, "--hand: is a partition of a dataset; name one with --output DIR/"),
-        (
-            args.scheduler and (rows_pass_here or kind not in _JOINED),
-            "--scheduler: its workers write .csv, .jsonl, .parquet or DIR/: name one with --output, and leave out "
-            "--calibration and --resample",
-        ),
-        (
+        f"{source}: is a dataset, and {args.output} is filled from logs; name the logs": source,
+        "--hand: is a partition of a dataset; name one with --output DIR/": args.hand is not None and not to_dataset,
+        "--scheduler: its workers write .csv, .jsonl, .parquet or DIR/: name one with --output, and leave out "
+        "--calibration and --resample": args.scheduler and (rows_pass_here or kind not in _JOINED),
+        "--scheduler: --eds follows the SDO traffic of the logs in sequence; leave one out":
             args.scheduler and args.eds,
-            "--scheduler: --eds follows the SDO traffic of the logs in sequence; leave one out",
-        ),
-        (args.scheduler and not {*args.logs} - {"-"}, "--scheduler: name log files that its workers can read"),
-    )
-    for is_refused, why in refused:
+        "--scheduler: name log files that its workers can read": args.scheduler and not {*args.logs} - {"-"},
+    }  # fmt: skip
+    for why, is_refused in refused.items():
         if is_refused:
             raise InputError(why)

@@ -13,7 +13,7 @@ import numpy as np
 
 from tipforce.arrays import BoolArray
 from tipforce.host.decoding.recording import Told
-from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table
+from tipforce.host.decoding.sample_table import Column, Table, place_of
 from tipforce.host.decoding.services import BusEvent
 from tipforce.output_file import Kind, write_file
 from tipforce.samples.reasons import CAUSES
@@ -38,7 +38,8 @@ class Summary:
         """``reasons``: count the missing values by their reasons."""
         self._reasons = reasons
         self.samples = Counter[Place]()
-        self._spans: dict[Place, tuple[int, int]] = {}  # first and last time in nanoseconds, of a log with times
+        self.spans_ns: dict[Place, tuple[int, int]] = {}
+        """First and last time, of a log with times."""
         self._present = Counter[tuple[Place, str]]()  # by column: samples with a frame that carries it
         self._told = Counter[tuple[Place, str, str]]()  # by column and reason: samples whose frame has no value
 
@@ -53,27 +54,24 @@ class Summary:
         self.samples.update(other.samples)
         self._present.update(other._present)
         self._told.update(other._told)
-        for place, span in other._spans.items():
+        for place, span in other.spans_ns.items():
             self._widen(place, *span)
 
     def _widen(self, place: Place, first_ns: int, last_ns: int) -> None:
-        before = self._spans.get(place, (first_ns, last_ns))
-        self._spans[place] = min(before[0], first_ns), max(before[1], last_ns)
+        before = self.spans_ns.get(place, (first_ns, last_ns))
+        self.spans_ns[place] = min(before[0], first_ns), max(before[1], last_ns)
 
     def _add(self, table: Table) -> None:
         order = np.argsort(table.key, kind="stable")
         sorted_key, t_ns = table.key[order], table.t_ns[order]
         starts = np.flatnonzero(np.append(True, sorted_key[1:] != sorted_key[:-1]))
         counts = np.diff(np.append(starts, len(table)))
-        keys = sorted_key[starts].tolist()
-        places = {key: (table.channels[key >> NODE_BITS], key & ((1 << NODE_BITS) - 1)) for key in keys}
-        lows, highs = np.minimum.reduceat(t_ns, starts), np.maximum.reduceat(t_ns, starts)
-        for place, count, low, high in zip(
-            places.values(), counts.tolist(), lows.tolist(), highs.tolist(), strict=True
-        ):
+        places = {key: place_of(table.channels, key) for key in sorted_key[starts].tolist()}
+        spans = zip(np.minimum.reduceat(t_ns, starts).tolist(), np.maximum.reduceat(t_ns, starts).tolist(), strict=True)
+        for place, count, span in zip(places.values(), counts.tolist(), spans, strict=True):
             self.samples[place] += count
             if table.timed:
-                self._widen(place, low, high)
+                self._widen(place, *span)
         if not self._reasons:
             return
         causes = [
@@ -90,12 +88,9 @@ class Summary:
                 self._add_missing(column, table, places, causes)
 
     def _add_missing(
-        self,
-        column: Column,
-        table: Table,
-        places: dict[int, Place],
+        self, column: Column, table: Table, places: dict[int, Place],
         causes: list[tuple[int, BoolArray, set[str] | None]],
-    ) -> None:
+    ) -> None:  # fmt: skip
         rows = np.flatnonzero(np.isnan(table.values[column.name]))
         absent = table.absent.get(column.name)
         if absent is not None:
@@ -109,10 +104,6 @@ class Summary:
         for cell, count in zip(cells.tolist(), counts[cells].tolist(), strict=True):
             key, number = divmod(cell, len(_ORDER))
             self._told[places[key], column.name, _ORDER[number]] += count
-
-    def span_ns(self, place: Place) -> tuple[int, int] | None:
-        """Return the first and the last time of a node; None for a log without times."""
-        return self._spans.get(place)
 
     def missing(self, place: Place) -> dict[str, dict[str, int]]:
         """Return by column and reason the number of samples without a value; columns never sent are left out."""
@@ -141,14 +132,14 @@ def record(summary: Summary, told: Told, output: str | None) -> dict[str, Any]:
         "bad": bad_lines(told),
         "skipped": sum((Counter(notes.skipped) for notes in told.notes), Counter()),
         "events": [
-            dict(zip(EVENT_COLUMNS, (event.t_ns / 1_000_000_000, *event[1:]), strict=True)) for event in told.events()
+            dict(zip(EVENT_COLUMNS, (event.t_ns / 1_000_000_000, *event[1:]), strict=True)) for event in told.bus.found
         ],
         "nodes": [_node_record(summary, told, place) for place in sorted(summary.samples)],
     }
 
 
 def _node_record(summary: Summary, told: Told, place: Place) -> dict[str, Any]:
-    first_s, last_s = (t_ns / 1_000_000_000 for t_ns in span) if (span := summary.span_ns(place)) else (None, None)
+    first_s, last_s = (t_ns / 1_000_000_000 for t_ns in span) if (span := summary.spans_ns.get(place)) else (None, None)
     messages = {name: count for (*of, name), count in told.tally.messages.items() if tuple(of) == place}
     return {
         "channel": place[0],
@@ -171,7 +162,7 @@ def lines(summary: Summary, told: Told) -> Iterator[str]:
     several = len({channel for channel, _ in summary.samples}) > 1
     lost = told.tally.lost()
     for place, samples in sorted(summary.samples.items()):
-        span = summary.span_ns(place)
+        span = summary.spans_ns.get(place)
         duration = "" if span is None else f" in {(span[1] - span[0]) / 1e9:.3f} s"
         losses = f", {lost[place]} lost" if place in lost else ""
         yield f"{f'{place[0]} ' * several}node {shown_id(place[1])}: {samples} samples{duration}{losses}"
@@ -182,7 +173,7 @@ def lines(summary: Summary, told: Told) -> Iterator[str]:
 def event_lines(told: Told) -> Iterator[str]:
     """Yield the events per node: EMCYs by their text, boot-ups and other changes of the NMT state."""
     counts: dict[Place, Counter[str]] = {}
-    for event in told.events():
+    for event in told.bus.found:
         what = f"EMCY {event.text}" if event.kind == "emcy" else _EVENTS.get(event.kind, event.text)
         counts.setdefault((event.channel, event.node_id), Counter())[what] += 1
     for (channel, node), of_node in sorted(counts.items()):

@@ -1,17 +1,16 @@
-"""Decode the parts of a recording with any number of workers. A worker decodes a part and keeps its rows. When the part
-in front has passed, it gets the ``State`` behind that, returns the one behind its own, for the next, and completes and
-writes its rows; a record of what was written comes back. A part is repeated if its worker dies.
-"""
+"""Decode the parts of a recording with any number of workers. A worker decodes a part and keeps its rows. With the
+``State`` behind the part in front it returns the one behind its own, completes its rows and writes them."""
 
 import multiprocessing
 import sys
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import chain
 from multiprocessing import connection
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from tipforce.host.decoding.recording import DecodedPart, Headers, Passed, Recor
 from tipforce.host.decoding.sample_table import Table
 from tipforce.host.decoding.services import BusEvent
 from tipforce.host.frames.frame_array import FrameArray
+from tipforce.host.logs.notes import LogNotes
 from tipforce_tools.decode.summary import Summary
 from tipforce_tools.writing.writers import Shape
 
@@ -42,12 +42,15 @@ class Written:
     record: Any
     shape: Shape
     summary: Summary
-    state: State | None = None
-    """Of the recording after it; this and what follows is added here."""
-    frames: int = 0
-    bad: dict[str, int] = field(default_factory=dict)
-    """Bad lines by reason."""
-    events: list[BusEvent] = field(default_factory=list)
+
+
+class Done(NamedTuple):
+    """A part in its order: what was written of it, and what the recording is and tells after it."""
+
+    written: Written
+    state: State
+    notes: LogNotes
+    events: list[BusEvent]
 
 
 Event = tuple[int, Passed | Written | Exception]
@@ -154,16 +157,16 @@ class InOrder:
     """The pass over the parts of a recording in order, while workers decode and write them."""
 
     def __init__(
-        self, pieces: Sequence[Piece], recording: Recording, shape: Shape, workers: Workers, *, ends: bool = True
+        self, pieces: Sequence[Piece], recording: Recording, shape: Shape, workers: Workers, ends: bool = True
     ) -> None:
         """``ends``: the recording ends with the last part."""
         self._pieces, self._recording, self._shape = pieces, recording, shape
         self._workers, self._ends = workers, ends
         self._written: dict[int, Written] = {}
-        self._told: dict[int, tuple[State, int, dict[str, int], list[BusEvent]]] = {}
+        self._told: dict[int, tuple[State, LogNotes, list[BusEvent]]] = {}
         self._begun = self._ordered = self._passed = self._given = 0
 
-    def __iter__(self) -> Iterator[Written]:
+    def __iter__(self) -> Iterator[Done]:
         """Yield what was written, in order. Raises the errors of the decoding and the writing in order, too."""
         try:
             while self._given < len(self._pieces):
@@ -176,10 +179,9 @@ class InOrder:
                     self._ordered += 1
                 self._take(self._workers.next())
                 while self._given in self._written and self._given < self._passed:
-                    written = self._written.pop(self._given)
-                    written.state, written.frames, written.bad, written.events = self._told.pop(self._given)
+                    done = Done(self._written.pop(self._given), *self._told.pop(self._given))
                     self._given += 1
-                    yield written
+                    yield done
         finally:
             self._workers.close()
 
@@ -192,12 +194,11 @@ class InOrder:
         if isinstance(told, Written):
             self._written[number] = told
             return
-        events = len(self._recording.told.bus.found)
+        before = len(self._recording.told.bus.found)
         self._recording.resume(told)
         for columns in told.columns:
             self._shape.take(*columns)
-        found = self._recording.told.bus.found[events:]
-        self._told[number] = self._recording.state(), told.notes.frames, told.notes.bad, found
+        self._told[number] = self._recording.state(), told.notes, self._recording.told.bus.found[before:]
         self._passed = number + 1
 
 
@@ -217,9 +218,9 @@ class Processes(Workers):
         self._busy: dict[int, tuple[Any, Any]] = {}
         for _ in range(jobs):
             self._idle.append(self._started())
-        self._orders: dict[int, list[tuple[Any, ...]]] = {}  # of each part, to be repeated
+        self._orders = defaultdict[int, list[tuple[Any, ...]]](list)  # of each part, to be repeated
         self._passed: set[int] = set()  # parts of which it was returned what they leave
-        self._tries: dict[int, int] = {}
+        self._tries = Counter[int]()
 
     def _started(self) -> tuple[Any, Any]:
         here, there = self._context.Pipe()
@@ -243,7 +244,7 @@ class Processes(Workers):
         self._order(number, ("write", before, shape, last))
 
     def _order(self, number: int, order: tuple[Any, ...]) -> None:
-        self._orders.setdefault(number, []).append(order)
+        self._orders[number].append(order)
         with suppress(BrokenPipeError, ConnectionResetError):  # next() sees that the process has died
             self._busy[number][1].send(order)
 
@@ -269,9 +270,9 @@ class Processes(Workers):
         process, pipe = self._busy.pop(number)
         process.join()
         pipe.close()
-        self._tries[number] = self._tries.get(number, 1) + 1
+        self._tries[number] += 1
         piece: Piece = self._orders[number][0][2]
-        if self._tries[number] > _TRIES:
+        if self._tries[number] == _TRIES:
             raise EnvironmentLackError(
                 f"{piece.name}: the decoding process ended with {process.exitcode} {_TRIES} times at bytes "
                 f"{piece.start} to {piece.end or 'the end'}: too little memory? Try --jobs 1"

@@ -18,22 +18,11 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.host.dataset.manifest import (
-    EVENTS,
-    NO_DATE,
-    ROWS,
-    Change,
-    DataFile,
-    Manifest,
-    Part,
-    commit,
-    files_of,
-    read_manifest,
-    run_lock,
-)
+from tipforce.host.dataset import manifest as manifests
+from tipforce.host.dataset.manifest import Change, DataFile, Manifest, Part, commit, files_of, read_manifest, run_lock
 from tipforce.host.dataset.reader import damage_named
 from tipforce.host.dataset.store import FOLDER, Store
-from tipforce.host.decoding.sample_table import NODE_BITS, Table
+from tipforce.host.decoding.sample_table import Table, place_of
 from tipforce_tools.writing.text_rows import CHANNEL, COUNTER, NODE, TIME
 from tipforce_tools.writing.writers import Shape
 
@@ -76,10 +65,8 @@ class DatasetSink:
                     if path not in parts:
                         parts[path] = stack.enter_context(Parts(scratch / f"{name}-{len(parts)}"))
                     parts[path].add(rows.slice(start, end - start))
-                    times = ordered.t_ns[start:end]
-                    file = DataFile(
-                        path, int(ordered.node[start]), end - start, 0, "", int(times.min()), int(times.max())
-                    )
+                    node, times = int(ordered.node[start]), ordered.t_ns[start:end]
+                    file = DataFile(path, node, end - start, 0, "", int(times.min()), int(times.max()))
                     files[path] = file.joined(files.get(path))
             for path, part in parts.items():
                 part.finish(rows_schema(shape), shape.channel)
@@ -113,7 +100,7 @@ def events_file(store: Store, token: str, name: str, events: Sequence[BusEvent])
     from tipforce_tools.writing.parquet import events_table
 
     times = [event.t_ns // 1000 * 1000 for event in events]
-    file = DataFile(f"{EVENTS}/{name}.parquet", 0, len(events), 0, "", min(times), max(times))
+    file = DataFile(f"{manifests.EVENTS}/{name}.parquet", 0, len(events), 0, "", min(times), max(times))
     with store.scratch(f"{FOLDER}/{token}") as folder:
         pyarrow.parquet.write_table(events_table(events), folder / "events")
         return put_file(store, folder / "events", file)
@@ -128,13 +115,11 @@ def _partitions(table: Table) -> tuple[npt.NDArray[np.intp], list[int]]:
 
 
 def _place(table: Table, row: int, hand: str | None) -> str:
-    key = int(table.key[row])
-    date = str(np.datetime64(int(table.t_ns[row]), "ns"))[:10] if table.timed else NO_DATE
+    channel, node = place_of(table.channels, int(table.key[row]))
+    date = str(np.datetime64(int(table.t_ns[row]), "ns"))[:10] if table.timed else manifests.NO_DATE
     # Without characters that a path or a partition cannot have.
-    name = "".join(
-        mark if mark.isalnum() or mark in "-_." else "_" for mark in hand or table.channels[key >> NODE_BITS]
-    )
-    return f"{ROWS}/hand={name or '_'}/date={date}/node={key & (1 << NODE_BITS) - 1}"
+    name = "".join(mark if mark.isalnum() or mark in "-_." else "_" for mark in hand or channel)
+    return f"{manifests.ROWS}/hand={name or '_'}/date={date}/node={node}"
 
 
 def first_ns(parts: Iterable[Part]) -> int:
@@ -151,12 +136,10 @@ def joined_parts(
     order = sorted(parts, key=lambda part: (begins[part.source], part.source, part.start))
     runs = _runs(manifest, order)
     places: dict[str, list[tuple[int, DataFile]]] = {}
-    found: list[list[DataFile]] = [[] for _ in runs]
+    found: list[list[DataFile]] = [[file for file in files_of(run) if file.path in left] for run in runs]
     for number, run in enumerate(runs):
         for file in files_of(run):
-            if file.path in left:
-                found[number].append(file)
-            else:
+            if file.path not in left:
                 places.setdefault(file.path.rpartition("/")[0], []).append((number, file))
     for place, files in places.items():
         for number, file in _joined_files(store, manifest, files, f"{place}/{name}.parquet"):
@@ -189,7 +172,7 @@ def _part(run: list[Part], files: list[DataFile], name: str) -> Part:
 
 
 def _of_events(path: str) -> bool:
-    return path.startswith(f"{EVENTS}/")
+    return path.startswith(f"{manifests.EVENTS}/")
 
 
 def _joined_files(
@@ -215,10 +198,8 @@ def _joined_files(
         written = put_file(store, scratch, msgspec.structs.replace(files[0][1], path=path, first_row=0))
     for number, same in groupby(files, key=lambda numbered: numbered[0]):
         whole = reduce(lambda before, file: file.joined(before), [file for _, file in same])
-        yield (
-            number,
-            msgspec.structs.replace(whole, path=path, bytes=written.bytes, sha256=written.sha256, first_row=first_row),
-        )
+        of_run = whole.rows, written.bytes, written.sha256, whole.first_ns, whole.last_ns, first_row
+        yield number, DataFile(path, whole.node, *of_run)
         first_row += whole.rows
 
 
@@ -249,26 +230,24 @@ def _groups(store: Store, manifest: Manifest) -> Iterator[list[Part]]:
     parted = [parts for parts in shared.values() if not any((part.source, part.start) in lasts for part in parts)]
     parted.sort(key=first_ns)
     for _, of_day in groupby(parted, key=lambda parts: first_ns(parts) // _DAY_NS):
-        group: list[list[Part]] = []
+        groups: list[list[list[Part]]] = []
         size = 0
         for parts in of_day:
             bytes_of_parts = sum({file.path: file.bytes for file in files_of(parts)}.values())
-            if group and size + bytes_of_parts > SHARED_BYTES:
-                yield from _worth_it(store, manifest, group)
-                group, size = [], 0
-            group.append(parts)
+            if not groups or size + bytes_of_parts > SHARED_BYTES:
+                groups.append([])
+                size = 0
+            groups[-1].append(parts)
             size += bytes_of_parts
-        yield from _worth_it(store, manifest, group)
+        yield from ([part for parts in group for part in parts] for group in groups if _gains(store, manifest, group))
 
 
-def _worth_it(store: Store, manifest: Manifest, group: list[list[Part]]) -> Iterator[list[Part]]:
-    """Yield the parts of a group that has several files for one, or one without columns that others have."""
+def _gains(store: Store, manifest: Manifest, group: list[list[Part]]) -> bool:
+    """Return whether a group has several files for one, or one without columns that others have."""
     import pyarrow.parquet as pq
 
-    parts = [part for some in group for part in some]
-    alone = len(group) == 1
-    if alone and (file := next((file for part in parts for file in part.files), None)):
-        with damage_named(store, file.path), store.open(file.path) as stream:
-            alone = {column.name for column in manifest.columns} <= set(pq.ParquetFile(stream).schema_arrow.names)
-    if not alone:
-        yield parts
+    file = next((file for part in group[0] for file in part.files), None)
+    if len(group) > 1 or file is None:
+        return len(group) > 1
+    with damage_named(store, file.path), store.open(file.path) as stream:
+        return not {column.name for column in manifest.columns} <= set(pq.ParquetFile(stream).schema_arrow.names)

@@ -1,7 +1,5 @@
-"""Join Parquet files of one schema without decoding them: their row groups are copied, and one footer names all. The
-footer is a FileMetaData of Thrift's compact protocol (parquet.thrift of the Parquet format). It is read as plain
-structures; only the offsets of the column chunks are moved, and the row groups are put into one list.
-"""
+"""Join Parquet files of one schema without decoding them: their row groups are copied, and one footer names all: a
+FileMetaData of Thrift's compact protocol (parquet.thrift), in which the offsets of the column chunks are moved."""
 
 import io
 import os

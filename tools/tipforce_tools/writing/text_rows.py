@@ -110,21 +110,14 @@ def instead(cells: Cells, where: npt.NDArray[np.bool_], text: bytes) -> Cells:
     """Return the cells with ``text`` in some rows."""
     if not where.any():
         return cells
-    missing = max(len(text) - cells.shape[1], 0)
-    out = np.pad(cells, ((0, 0), (0, missing)))
-    out[where] = 0
-    out[where, : len(text)] = np.frombuffer(text, dtype=np.uint8)
+    out = np.pad(cells, ((0, 0), (0, max(len(text) - cells.shape[1], 0))))
+    out[where] = np.frombuffer(text.ljust(out.shape[1], b"\0"), dtype=np.uint8)
     return out
 
 
 def chosen(where: npt.NDArray[np.bool_], text: bytes, otherwise: bytes = b"") -> Cells:
     """Return one text or the other for each row."""
-    width = max(len(text), len(otherwise), 1)
-    pair = np.zeros((2, width), dtype=np.uint8)
-    pair[0, : len(otherwise)] = np.frombuffer(otherwise, dtype=np.uint8)
-    pair[1, : len(text)] = np.frombuffer(text, dtype=np.uint8)
-    found: Cells = pair[where.astype(np.intp)]
-    return found
+    return word_cells(np.array([otherwise, text])[where.astype(np.intp)])
 
 
 def right(cells: Cells, width: int) -> Cells:
@@ -155,12 +148,10 @@ _CHUNK_ROWS = 32_768
 
 
 def _text(table: Table, cells: Callable[[Table], Iterable[bytes | Cells]]) -> bytes:
-    text = b""
-    for start in range(0, len(table), _CHUNK_ROWS):
-        whole = len(table) <= _CHUNK_ROWS
-        piece = table if whole else table.take(np.arange(start, min(start + _CHUNK_ROWS, len(table))))
-        text += rows_text([*cells(piece)], len(piece))
-    return text
+    if len(table) <= _CHUNK_ROWS:
+        return rows_text([*cells(table)], len(table))
+    starts = range(0, len(table), _CHUNK_ROWS)
+    return b"".join(_text(table.take(np.arange(len(table))[start : start + _CHUNK_ROWS]), cells) for start in starts)
 
 
 def channel_names(table: Table, quoted: bool = False) -> Cells:
@@ -277,15 +268,9 @@ def _unit(column: Column, table: Table) -> bytes | Cells:
 
 
 def _people_cells(column: Column, table: Table) -> Cells:
-    values = table.values[column.name]
-    width = 7 if column.kind == "real" else 3
-    found = column_cells(column, values)
-    missing = is_missing(column, values)
-    found = instead(found, missing, b"unknown" if column.kind == "real" else b"-")
-    absent = table.absent.get(column.name)
-    if absent is not None:
-        found = instead(found, absent, b"-")
-    return right(found, width)
+    values, is_real, absent = table.values[column.name], column.kind == "real", table.absent.get(column.name)
+    cells = instead(column_cells(column, values), is_missing(column, values), b"unknown" if is_real else b"-")
+    return right(cells if absent is None else instead(cells, absent, b"-"), 7 if is_real else 3)
 
 
 def event_rows(events: Sequence[BusEvent]) -> Iterator[tuple[str, str, int, str, str, str]]:

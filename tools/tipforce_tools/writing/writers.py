@@ -34,9 +34,8 @@ def format_of(output: str | None, wanted: str | None) -> str:
         return "parquet"
     suffix = Path(output).suffix.lower()
     if suffix not in _SUFFIXES:
-        known = ", ".join(sorted(_SUFFIXES))
-        raise InputError(f"--output {output}: unknown suffix: allowed are {known}, a name that ends in / "
-                         "for a dataset, or --format")  # fmt: skip
+        known = f"{', '.join(sorted(_SUFFIXES))}, a name that ends in / for a dataset, or --format"
+        raise InputError(f"--output {output}: unknown suffix: allowed are {known}")
     return _SUFFIXES[suffix]
 
 
@@ -125,10 +124,9 @@ class JoinedFile:
 
     def __init__(self, file: NewFile, kind: str, shape: Shape) -> None:
         self._partial, self._kind, self._shape = file.partial, kind, shape
-        self._beside = file.partial.absolute()
         self._renamed = file.partial != file.path
-        if not self._renamed:  # a device or a pipe
-            self._beside = Path(tempfile.gettempdir(), f".{file.path.name}.{os.getpid()}.part")
+        beside_a_pipe = Path(tempfile.gettempdir(), f".{file.path.name}.{os.getpid()}.part")
+        self._beside = file.partial.absolute() if self._renamed else beside_a_pipe
         self._parts: list[Pieces] = []
 
     def _path(self, number: int) -> Path:

@@ -1,6 +1,5 @@
 """The manifest of a dataset: which parts of which logs it holds, in which files, and where each log continues. One JSON
-file per generation in ``DIR/_tipforce``, beside ``DIR/rows`` and ``DIR/events``, which hold nothing but Parquet files:
-query engines open every file in a folder. A new generation is created only if nobody else created it, so of two writers
+file per generation in ``DIR/_tipforce``. A new generation is created only if nobody else created it, so of two writers
 one commits and the other merges its changes, or gives up if both changed the same log.
 """
 
@@ -120,7 +119,7 @@ class Manifest(msgspec.Struct):
     replaced: list[FilePath] = []
     """Files of parts that this generation replaced: a writer that ended before it removed them leaves them behind."""
 
-    def source(self, source_id: str) -> Source | None:
+    def source(self, source_id: str | None) -> Source | None:
         """Return a log by its id."""
         return next((source for source in self.sources if source.id == source_id), None)
 
@@ -130,6 +129,11 @@ class Manifest(msgspec.Struct):
         for file in (file for part in self.parts for file in part.files):
             by_path[file.path] = file.joined(by_path.get(file.path))
         return list(by_path.values())
+
+    @property
+    def first_ns(self) -> int | None:
+        """Time of the first row."""
+        return min((file.first_ns for file in self.files()), default=None)
 
     def paths(self) -> set[str]:
         """Return the paths of all files, those of the events too."""
@@ -175,7 +179,8 @@ def read_manifest(store: Store) -> Manifest | None:
         if not names:
             return None
         try:
-            text = store.read(f"{FOLDER}/{names[-1]}")
+            with store.open(f"{FOLDER}/{names[-1]}") as file:
+                text = file.read()
         except FileNotFoundError:
             continue
         place = f"{store.name}/{FOLDER}/{names[-1]}"
@@ -249,8 +254,7 @@ def run_lock(store: Store, token: str) -> Iterator[None]:
         _remove_unlisted(store, store.local, token)
         raise
     finally:
-        shutil.rmtree(folder / token, ignore_errors=True)
-        (folder / f"{token}.run").unlink(missing_ok=True)
+        _remove_marks(folder / f"{token}.run")
         os.close(file)
 
 
@@ -260,19 +264,21 @@ def _clean(store: Store, mark: Path) -> None:
     try:
         if _lock(file):
             _remove_unlisted(store, mark.parent.parent, mark.stem)
-            shutil.rmtree(mark.with_suffix(""), ignore_errors=True)
-            mark.unlink(missing_ok=True)
+            _remove_marks(mark)
     finally:
         os.close(file)
+
+
+def _remove_marks(mark: Path) -> None:
+    shutil.rmtree(mark.with_suffix(""), ignore_errors=True)
+    mark.unlink(missing_ok=True)
 
 
 def _remove_unlisted(store: Store, root: Path, token: str) -> None:
     listed = (read_manifest(store) or Manifest()).paths()
     for pattern in (f"{ROWS}/hand=*/date=*/node=*/*-{token}.parquet", f"{EVENTS}/*-{token}.parquet"):
-        for path in root.glob(pattern):
-            relative = path.relative_to(root).as_posix()
-            if relative not in listed:
-                store.remove(relative)
+        for relative in {path.relative_to(root).as_posix() for path in root.glob(pattern)} - listed:
+            store.remove(relative)
 
 
 def _lock(file: int) -> bool:

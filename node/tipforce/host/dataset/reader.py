@@ -11,21 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tipforce.arrays import IntArray
 from tipforce.errors import EnvironmentLackError, InputError, LogError
 from tipforce.host.dataset.store import Store, is_dataset, local_copy
 from tipforce.host.decoding.counters import Tally
 from tipforce.host.decoding.log_part import Piece, Progress, Reading
 from tipforce.host.decoding.recording import Recording, Tap
-from tipforce.host.decoding.sample_table import (
-    NO_COUNTER,
-    NODE_BITS,
-    Column,
-    Table,
-    Values,
-    in_order,
-    is_missing,
-    missing_of,
-)
+from tipforce.host.decoding.sample_table import NO_COUNTER, NODE_BITS, Column, Table, in_order, is_missing, missing_of
 from tipforce.host.logs.notes import LogNotes
 from tipforce.host.logs.reader import open_log
 
@@ -47,8 +39,7 @@ def opened(name: str) -> tuple[Store, Manifest]:
 
     need_pyarrow(name)
     store = Store(name)
-    manifest = read_manifest(store)
-    if manifest is None:
+    if (manifest := read_manifest(store)) is None:
         raise InputError(f"{name}: is not a dataset of `tipforce decode -o DIR/`")
     return store, manifest
 
@@ -56,7 +47,7 @@ def opened(name: str) -> tuple[Store, Manifest]:
 def start_of(name: str) -> int | None:
     """Return the time of the first frame of a log, or row of a dataset; None if it has none. Raises InputError."""
     if is_dataset(name):
-        return first_ns(opened(name)[1])
+        return opened(name)[1].first_ns
     with open_log(name) as log:
         return next((int(block["t_ns"][0]) for block in log), None)
 
@@ -79,11 +70,6 @@ def tables_of_logs(
     yield from recording.finish()
 
 
-def first_ns(manifest: Manifest) -> int | None:
-    """Return the time of the first row."""
-    return min((file.first_ns for file in manifest.files()), default=None)
-
-
 def tally(manifest: Manifest) -> Tally:
     """Return the counts of all logs."""
     total, followed = Tally(), {source.after for source in manifest.sources}
@@ -103,7 +89,7 @@ def tables(name: str, reading: Reading) -> Iterator[Table]:
     """Yield the samples of the parts, of compacted ones together, in the order of their times. Only those that
     ``reading`` selects."""
     store, manifest = opened(name)
-    start, end = reading.limits(reading.origin_ns or first_ns(manifest) or 0)
+    start, end = reading.limits(reading.origin_ns or manifest.first_ns or 0)
     limits = -_FOREVER if start is None else start, _FOREVER if end is None else end
     wanted = [column for column in manifest.columns if reading.signals is None or column.signal in reading.signals]
     channels: list[str] = []
@@ -142,13 +128,9 @@ def damaged(store: Store, reason: object) -> LogError:
 
 
 def _read_table(
-    store: Store,
-    files: list[DataFile],
-    reading: Reading,
-    wanted: list[Column],
-    channels: list[str],
+    store: Store, files: list[DataFile], reading: Reading, wanted: list[Column], channels: list[str],
     span: tuple[int, int],
-) -> Table | None:
+) -> Table | None:  # fmt: skip
     import pyarrow as pa
 
     nodes = reading.layouts.nodes
@@ -184,20 +166,19 @@ def _rows(store: Store, path: str, names: list[str], span: tuple[int, int]) -> A
     columns = [name for name in ("t_s", "channel", "counter", *names) if name in there]
     if span == (-_FOREVER, _FOREVER):
         return file.read(columns)
-    at = there.index("t_s")
     start_us, end_us = -(-span[0] // 1000), -(-span[1] // 1000)
-    groups = []
-    for number in range(file.num_row_groups):
-        statistics = file.metadata.row_group(number).column(at).statistics
-        known = statistics is not None and statistics.has_min_max
-        if not known or (statistics.max_raw >= start_us and statistics.min_raw < end_us):
-            groups.append(number)
-    rows = file.read_row_groups(groups, columns)
+
+    def is_within(number: int) -> bool:
+        times = file.metadata.row_group(number).column(there.index("t_s")).statistics
+        known = times is not None and times.has_min_max
+        return not known or (times.max_raw >= start_us and times.min_raw < end_us)
+
+    rows = file.read_row_groups(list(filter(is_within, range(file.num_row_groups))), columns)
     t_us = rows["t_s"].cast(pa.int64())
     return rows.filter(pc.and_(pc.greater_equal(t_us, start_us), pc.less(t_us, end_us)))
 
 
-def _table(rows: Any, wanted: list[Column], channels: list[str], t_ns: Values, timed: bool) -> Table:
+def _table(rows: Any, wanted: list[Column], channels: list[str], t_ns: IntArray, timed: bool) -> Table:
     names = rows["channel"].combine_chunks().dictionary_encode()
     here = names.dictionary.to_pylist()
     channels += [name for name in here if name not in channels]
@@ -209,15 +190,11 @@ def _table(rows: Any, wanted: list[Column], channels: list[str], t_ns: Values, t
     return Table(t_ns, key, counter, counter != NO_COUNTER, columns, values, {}, tuple(channels), timed)
 
 
-def _values(array: Any, column: Column) -> Values:
+def _values(array: Any, column: Column) -> Any:
     """Return the values as a decoder has them, with its marks for missing ones."""
     mark = missing_of(column, 1)
-    if column.kind == "flag":
-        import pyarrow as pa
-
-        array = array.cast(pa.int8())
-    filled: Values = (array.fill_null(mark[0].item()) if array.null_count else array).to_numpy()
-    return filled.astype(mark.dtype, copy=False)
+    array = array.cast("int8") if column.kind == "flag" else array
+    return (array.fill_null(mark[0].item()) if array.null_count else array).to_numpy().astype(mark.dtype, copy=False)
 
 
 def wrong_files(store: Store, manifest: Manifest, *, hashes: bool) -> dict[str, str]:

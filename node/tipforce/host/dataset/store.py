@@ -58,11 +58,6 @@ class Store:
             return [str(path).rsplit("/", 1)[-1] for path in self.filesystem.ls(place, detail=False)]
         return []
 
-    def read(self, relative: str) -> bytes:
-        """Return the content of a file. Raises FileNotFoundError, OSError."""
-        with self.open(relative) as file:
-            return file.read()
-
     def open(self, relative: str) -> BinaryIO:
         """Open a file. Raises FileNotFoundError, OSError."""
         if self.filesystem is None:
@@ -72,20 +67,21 @@ class Store:
 
     def create(self, relative: str, content: bytes) -> bool:
         """Create a file; return False, without a change, if there is one. Raises OSError."""
+        place = self.path(relative)
         if self.filesystem is not None:
-            if self.filesystem.exists(self.path(relative)):
+            if self.filesystem.exists(place):
                 return False
             try:
-                with self.filesystem.open(self.path(relative), "xb") as file:
+                with self.filesystem.open(place, "xb") as file:
                     file.write(content)
             except FileExistsError:
                 return False
             except (ValueError, NotImplementedError):  # a file system without exclusive creation
-                self.filesystem.pipe_file(self.path(relative), content)
+                self.filesystem.pipe_file(place, content)
             return True
         import uuid  # here and below: a log is read without these
 
-        path = Path(self.path(relative))
+        path = Path(place)
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
         try:
@@ -147,9 +143,8 @@ def generations(store: Store) -> list[str]:
 def is_dataset(name: str | os.PathLike[str]) -> bool:
     """Return whether a path or URL is a dataset."""
     text = str(name)
-    if not is_url(text):
-        return (Path(text) / FOLDER).is_dir() and bool(generations(Store(text)))
-    return text.endswith("/") and bool(generations(Store(text)))
+    may_be = text.endswith("/") if is_url(text) else (Path(text) / FOLDER).is_dir()
+    return may_be and bool(generations(Store(text)))
 
 
 _copies: dict[str, str] = {}
@@ -170,9 +165,8 @@ def local_copy(name: str) -> str:
         try:
             files.get_file(path, copy)
         except Exception as error:  # each file system raises its own
-            raise InputError(
-                f"{name}: can't be read: {error or type(error).__name__}; a dataset's URL ends in /"
-            ) from error
+            text = str(error) or type(error).__name__
+            raise InputError(f"{name}: can't be read: {text}; a dataset's URL ends in /") from error
         _copies[name] = copy
     return _copies[name]
 

@@ -1,13 +1,14 @@
 """Contact from gauges by the host's calibration, with standard uncertainties: of a log, and of `tipforce estimate`."""
 
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import FloatArray
+from tipforce.arrays import FloatArray, IntArray, occurring
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurements import MODES, Measurements
@@ -15,7 +16,7 @@ from tipforce.host.decoding import judged
 from tipforce.host.decoding.estimator import FEW, Before, Contacts, Estimator
 from tipforce.host.decoding.health import lost_gauges
 from tipforce.host.decoding.judged import Judge, Readings, Still, frozen_gauges
-from tipforce.host.decoding.sample_table import NODE_BITS, Table, Values, computed, flag, in_order, missing_of
+from tipforce.host.decoding.sample_table import Table, Values, computed, flag, in_order, missing_of, node_of
 from tipforce.samples import reasons
 from tipforce.samples.reasons import Status, status_of
 
@@ -33,21 +34,19 @@ COLUMNS = (*VALUES, *(flag(name) for name in FLAGS))
 
 def read_calibrations(texts: Iterable[str]) -> dict[int | None, Calibration]:
     """By node-id the calibrations that `5=thumb.toml` names; None for one without a node. Raises InputError."""
-    found: dict[int | None, Calibration] = {}
+    calibrations: dict[int | None, Calibration] = {}
     for text in texts:
         node_text, equals, path = text.partition("=")
         node = None
         if equals:
-            try:
+            with suppress(ValueError):
                 node = int(node_text, 0)
-            except ValueError:
-                node = 0
-            if not 1 <= node <= 127:
+            if node is None or not 1 <= node <= 127:
                 raise InputError(f"--calibration {text}: write CAL.toml, or NODE=CAL.toml with a node-id from 1 to 127")
-        if node in found:
+        if node in calibrations:
             raise InputError(f"--calibration {text}: {'all nodes have' if node is None else f'node {node} has'} one")
-        found[node] = Calibration.read(path if equals else text)
-    return found
+        calibrations[node] = Calibration.read(path if equals else text)
+    return calibrations
 
 
 class ContactColumns:
@@ -62,19 +61,15 @@ class ContactColumns:
         """Each table with its contact columns."""
         for table in tables:
             columns = {column.name: column for column in (*table.columns, *COLUMNS)}
-            values = dict(table.values)
-            for column in COLUMNS:
-                before = values.get(column.name)
-                values[column.name] = missing_of(column, len(table)) if before is None else before.copy()
-            absent = {name: rows for name, rows in table.absent.items() if name not in {c.name for c in COLUMNS}}
-            for key in np.unique(table.key).tolist():
-                node = key & ((1 << NODE_BITS) - 1)
-                estimator = self._estimators.get(node, self._estimators.get(None))
+            own = {column.name: missing_of(column, len(table)) for column in COLUMNS}
+            own |= {name: table.values[name].copy() for name in own.keys() & table.values.keys()}
+            for key in occurring(table.key):
+                estimator = self._estimators.get(node_of(key), self._estimators.get(None))
                 if estimator is not None:
-                    self._fill(estimator, key, np.flatnonzero(table.key == key), table, values)
+                    self._fill(estimator, key, np.flatnonzero(table.key == key), table, own)
             shown = [c for c in columns.values() if self._asked is None or c.signal in self._asked]
-            ordered = in_order(shown, self._asked)
-            yield replace(table, columns=ordered, values={c.name: values[c.name] for c in ordered}, absent=absent)
+            values, absent = table.values | own, {name: of for name, of in table.absent.items() if name not in own}
+            yield table.of_columns(in_order(shown, self._asked), values, absent)
 
     def _fill(
         self, estimator: Estimator, key: int, rows: npt.NDArray[np.intp], table: Table, values: dict[str, Values]
@@ -85,7 +80,7 @@ class ContactColumns:
         if not set(names) <= set(table.values):
             return
         microstrain = np.stack([table.values[name][rows] for name in names], axis=-1)
-        columns = {name: column[rows] for name, column in table.values.items()}
+        columns = {column.signal: table.values[column.name][rows] for column in table.columns}
         history = self._history.setdefault(key, History(still=Still(estimator.judge.calibration)))
         status = status_of(columns, (len(rows),))
         held, contacts = of_samples(estimator, columns, microstrain, status, history, table.t_ns[rows])
@@ -116,33 +111,42 @@ class History:
         self.temperature_degC = float(found[-1]) if k else self.temperature_degC
         return found
 
+    def frozen(self, calibration: Calibration, strain: FloatArray, rows: npt.NDArray[np.intp]) -> IntArray | None:
+        """Bits of the gauges that stand still in these rows of strain (k, n): (k,); None: none does."""
+        still = frozen_gauges(calibration, strain[rows]) if self.still is None else self.still.frozen(strain[rows])
+        if still is None:
+            return None
+        bits = np.zeros(len(strain), dtype=np.int64)
+        bits[rows] = still
+        return bits
+
 
 def of_samples(
-    estimator: Estimator,
-    columns: Mapping[str, npt.NDArray[Any]],
-    microstrain: FloatArray,
-    status: npt.NDArray[np.uint16],
-    history: History,
-    t_ns: npt.NDArray[np.int64] | None = None,
-) -> tuple[npt.NDArray[np.intp], Contacts]:
+    estimator: Estimator, columns: Mapping[str, npt.NDArray[Any]], microstrain: FloatArray,
+    status: npt.NDArray[np.uint16], history: History, t_ns: npt.NDArray[np.int64] | None = None,
+) -> tuple[npt.NDArray[np.intp], Contacts]:  # fmt: skip
     """The rows of k samples of a node whose gauges can be read, (m,), and their contacts; history goes on.
 
-    ``columns`` by name of a signal, ``microstrain`` (k, n), ``status``: as the node sent them; ``t_ns`` gives the age
-    of the tare, which a log does not say, since the first sample. The temperature is the last that was sent. Where the
-    node left a gauge out and neither the reading, TPDO4, EMCY nor the other gauges show which, a sample has no row.
+    ``columns`` by name of a signal, ``microstrain`` (k, n), ``status``: as the node sent them; ``t_ns``: for the age of
+    the tare, since the first sample. The temperature is the last that was sent. Where the node left a gauge out and
+    neither the reading, TPDO4, EMCY nor the other gauges show which, a sample has no row.
     """
-    temperature = history.temperatures(columns, len(status))
+    calibration, k = estimator.judge.calibration, len(status)
+    temperature = history.temperatures(columns, k)
     lost = lost_gauges(columns, microstrain.shape) | judged.at_end(microstrain)
     rows = np.flatnonzero((status & _NO_READING == 0) & np.isfinite(microstrain).all(axis=1))
     saturated = status & np.uint16(Status.SATURATED) != 0
-    ages = t_ns if len(rows) and estimator.judge.calibration.tare_drift_strain_per_s > 0.0 else None
+    ages = t_ns if len(rows) and calibration.tare_drift_strain_per_s > 0.0 else None
     is_few = history.still is None and ages is None and len(rows) <= FEW  # too few to stand still
     given = Readings(microstrain * 1e-6, temperature, lost)
     if not is_few:
-        given = _with_history(given, estimator.judge.calibration, rows, history, ages)
+        given = given._replace(frozen=history.frozen(calibration, given.strain, rows))
+    if ages is not None:
+        history.first_ns = int(ages[rows[0]]) if history.first_ns is None else history.first_ns
+        given = given._replace(age_s=np.asarray(ages - history.first_ns, dtype=np.float64) * 1e-9)
     while True:
         if is_few:
-            degC = np.full(len(status), np.nan) if temperature is None else temperature
+            degC = np.full(k, np.nan) if temperature is None else temperature
             contacts, before = estimator.few(microstrain[rows], degC[rows], lost[rows], history.before)
         else:
             contacts, before = estimator.table(given.part(rows), history.before)
@@ -151,26 +155,6 @@ def of_samples(
             history.before = before
             return rows, contacts
         rows = rows[holds]
-
-
-def _with_history(
-    given: Readings,
-    calibration: Calibration,
-    rows: npt.NDArray[np.intp],
-    history: History,
-    ages: npt.NDArray[np.int64] | None,
-) -> Readings:
-    """The readings with the gauges that stand still in ``rows``, and with the age of the tare at the times ``ages``."""
-    strain = given.strain[rows]
-    stand = frozen_gauges(calibration, strain) if history.still is None else history.still.frozen(strain)
-    if stand is not None:
-        frozen = np.zeros(len(given.strain), dtype=np.int64)
-        frozen[rows] = stand
-        given = given._replace(frozen=frozen)
-    if ages is not None:
-        history.first_ns = int(ages[rows[0]]) if history.first_ns is None else history.first_ns
-        given = given._replace(age_s=np.asarray(ages - history.first_ns, dtype=np.float64) * 1e-9)
-    return given
 
 
 def signals_needed(
@@ -188,8 +172,7 @@ def signals_needed(
         for tip in calibrations.values()
     )
     gauges = [f"SG{k + 1}" for k in range(gauges_of(calibrations))]
-    wanted = (*gauges, *NEEDED_FLAGS, *(("temperature",) if temperature else ()))
-    return (*kept, *(name for name in wanted if name not in kept))
+    return tuple(dict.fromkeys([*kept, *gauges, *NEEDED_FLAGS, *(["temperature"] if temperature else [])]))
 
 
 def is_computed(name: str) -> str | None:
@@ -222,20 +205,16 @@ def estimates(
         calibration = replace(calibration, parameter_covariance=blocks)
     estimator = Estimator(calibration)
     given = Readings(
-        data.strain,
-        temperature_degC=data.temperature_degC,
-        frozen=frozen_gauges(calibration, data.strain, weight),
-        unloaded=data.unloaded,
+        data.strain, data.temperature_degC, None, frozen_gauges(calibration, data.strain, weight), data.unloaded,
         variance_factor=1.0 / weight,
-    )
-    if data.t_s is not None:  # without tares the age counts from the first row, the first that is known
-        given = given._replace(age_s=data.t_s - data.t_s[:1])
+        # Without tares the age counts from the first row, the first that is known.
+        age_s=None if data.t_s is None else data.t_s - data.t_s[:1],
+        pull=None if data.mode is None else np.where(data.mode < 0, calibration.pull, data.mode == MODES.index("pull")),
+    )  # fmt: skip
     if tares is not None:
         offset, noise, age_s = tares
-        given = given._replace(offset_strain=offset, variance_factor=1.0 / weight + noise)
-        given = given._replace(age_s=None if data.t_s is None else age_s)
-    if data.mode is not None:
-        given = given._replace(pull=np.where(data.mode < 0, calibration.pull, data.mode == MODES.index("pull")))
+        age = None if data.t_s is None else age_s
+        given = given._replace(offset_strain=offset, variance_factor=1.0 / weight + noise, age_s=age)
     contacts, status, _ = estimator.rows(given, Before())
     words = {value: reasons.of_estimate(value) for value in np.unique(status).tolist()}
     for line, values, value in zip(data.line.tolist(), contacts.values.tolist(), status.tolist(), strict=True):
@@ -245,12 +224,9 @@ def estimates(
 def _tares(
     data: Measurements, weight: FloatArray, calibration: Calibration
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """From the unloaded readings, those that follow each other averaged: the offset of each row, (m, n), interpolated,
-    its noise in units of one reading's variance, (m,), and the time to the nearest tare, (m,), in rows where there are
-    no times.
-
-    Temperature is compensated where it is known. None without unloaded readings.
-    """
+    """From the unloaded readings, those that follow each other averaged and compensated where the temperature is known:
+    the offset of each row (m, n), interpolated, its noise in units of one reading's variance, and the time to the
+    nearest tare, in rows where there are no times, (m,) each. None without unloaded readings."""
     from tipforce.sensor.calibration.regressors import tare_groups  # not where a log is read
 
     groups = tare_groups(data.unloaded, np.ones(len(data.line), dtype=np.bool_))

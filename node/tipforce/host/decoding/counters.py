@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -35,14 +37,13 @@ class MessageCount(NamedTuple):
 
     def followed_by(self, other: MessageCount) -> MessageCount:
         """Return it with the count of the next part; where its modulus is another one the count begins again."""
-        if other.first is None:
-            return self._replace(frames=self.frames + other.frames)
-        begin = other if self.first is None else self
-        lost = (self.lost or 0) + (other.lost or 0)
-        if self.last is not None and self.last_modulus == other.first_modulus:
-            lost += lost_between(self.last, other.first, self.last_modulus)
         frames = self.frames + other.frames
-        return MessageCount(frames, lost, begin.first, other.last, begin.first_modulus, other.last_modulus)
+        if other.first is None or self.first is None or self.last is None:
+            return (self if other.first is None else other)._replace(frames=frames)
+        lost = (self.lost or 0) + (other.lost or 0)
+        if self.last_modulus == other.first_modulus:
+            lost += lost_between(self.last, other.first, self.last_modulus)
+        return self._replace(frames=frames, lost=lost, last=other.last, last_modulus=other.last_modulus)
 
 
 TallyRow = tuple[str, int, str, int, int | None, int | None, int | None, int, int]
@@ -54,7 +55,7 @@ class Tally:
     """``messages`` by place; ``short`` frames that were shorter than their mapping."""
 
     messages: dict[Place, MessageCount] = field(default_factory=dict)
-    short: dict[Place, int] = field(default_factory=dict)
+    short: Counter[Place] = field(default_factory=Counter)
 
     def add(self, place: Place, frames: int, first: int, last: int, lost: int, modulus: int) -> None:
         """Count frames, whose counters have this ``modulus`` (``SyncModulus``); ``first`` -1: they show no losses."""
@@ -75,8 +76,7 @@ class Tally:
         """Add the counts of the next part."""
         for place, count in other.messages.items():
             self.messages[place] = self.messages.get(place, MessageCount()).followed_by(count)
-        for place, frames in other.short.items():
-            self.short[place] = self.short.get(place, 0) + frames
+        self.short.update(other.short)
 
     def rows(self) -> tuple[list[TallyRow], list[tuple[str, int, str, int]]]:
         """Return both counts as rows."""
@@ -86,7 +86,8 @@ class Tally:
     @classmethod
     def of_rows(cls, messages: Iterable[TallyRow], short: Iterable[tuple[str, int, str, int]]) -> Tally:
         """Return the counts that ``rows`` returned."""
-        return cls({row[:3]: MessageCount._make(row[3:]) for row in messages}, {row[:3]: row[3] for row in short})
+        counts = {row[:3]: MessageCount._make(row[3:]) for row in messages}
+        return cls(counts, Counter({row[:3]: row[3] for row in short}))
 
     def lost(self) -> dict[tuple[str, int], int]:
         """Return lost samples by channel and node: the maximum over its messages, which have one counter."""
@@ -110,34 +111,29 @@ class Counters:
         counter, before = table.counter.copy(), dict(self.last)
         order = np.argsort(table.key, kind="stable")
         steady = order[table.cyclic[order]]
-        events = order[(~table.cyclic & (table.counter != NO_COUNTER))[order]]
-        moduli = {key: modulus_of(table, key) for key in occurring(table.key)}
+        events = ~table.cyclic & (table.counter != NO_COUNTER)
+        of_channel = dict(table.moduli)
+        moduli = {key: of_channel.get(table.channels[key >> NODE_BITS], SAMPLES) for key in occurring(table.key)}
         for modulus in sorted({*moduli.values()}):
             of_modulus = np.array([key for key in moduli if moduli[key] == modulus])
             here = steady if len(of_modulus) == len(moduli) else steady[np.isin(table.key[steady], of_modulus)]
             if len(here):
                 counter[here] = self._continued(table.key[here], table.counter[here], modulus)
-        for key in occurring(table.key[events]) if len(events) else ():
+        for key in occurring(table.key[events]):
             rows = order[slice(*np.searchsorted(table.key[order], [key, key + 1]))]
             counter[rows] = _with_events(table, rows, counter[rows], before.get(key), moduli[key])
         return replace(table, counter=counter)
 
     def _continued(self, key: npt.NDArray[np.uint16], sent: IntArray, modulus: int) -> IntArray:
         counts = unwrap_counter(sent, modulus)
-        starts = np.flatnonzero(np.concatenate(([True], key[1:] != key[:-1])))
-        ends = [*starts[1:].tolist(), len(key)]
-        for start, end in zip(starts.tolist(), ends, strict=True):
+        edges = [0, *(np.flatnonzero(key[1:] != key[:-1]) + 1).tolist(), len(key)]
+        for start, end in pairwise(edges):
             of, first = int(key[start]), int(sent[start])
             last = self.last.get(of)
             begin = first if last is None else last[0] + (first - last[1]) % modulus
             counts[start:end] += begin - int(counts[start])
             self.last[of] = int(counts[end - 1]), int(sent[end - 1])
         return counts
-
-
-def modulus_of(table: Table, key: int) -> int:
-    """Return the modulus of a node's counters."""
-    return dict(table.moduli).get(table.channels[key >> NODE_BITS], SAMPLES) if table.moduli else SAMPLES
 
 
 def _with_events(
@@ -194,13 +190,13 @@ class SyncModulus:
     def cuts(self, frames: FrameArray) -> list[int]:
         """Return the indices of the SYNCs at which numbers begin or end."""
         at = np.flatnonzero(frames["can_id"] == SYNC_COB_ID)
-        found: list[int] = []
+        places: list[int] = []
         for channel in occurring(frames["channel"][at]):
-            mine = at[frames["channel"][at] == channel]
-            numbered = (frames["length"][mine] == 1).astype(np.int8)
-            before = np.int8(channel in self._known and self._known[channel][0] != SAMPLES)
-            found += mine[np.diff(numbered, prepend=before) != 0].tolist()
-        return sorted(found)
+            of_channel = at[frames["channel"][at] == channel]
+            numbered = (frames["length"][of_channel] == 1).astype(np.int8)
+            before = np.int8(self.of.get(channel, SAMPLES) != SAMPLES)
+            places += of_channel[np.diff(numbered, prepend=before) != 0].tolist()
+        return sorted(places)
 
     def look(self, frames: FrameArray) -> None:
         """Take the numbers of SYNCs without a cut among them; they are numbered if the last one is."""

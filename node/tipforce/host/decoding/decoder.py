@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import groupby
@@ -48,8 +49,7 @@ def make_plan(
 ) -> Plan:
     """Return the plan for the signals ``wanted`` (None: all); ``given``: identifiers that one message alone has. Raises
     InputError for a signal that no message has."""
-    alike = {id(message): message for _, message in messages.values()}
-    known = {signal.name for message in alike.values() for signal in message.signals}
+    known = {signal.name for message in {id(m): m for _, m in messages.values()}.values() for signal in message.signals}
     if wanted is not None and not wanted <= known:
         missing = ", ".join(sorted(wanted - known))
         raise InputError(f"no message has the signal {missing}: allowed are {', '.join(sorted(known))}")
@@ -80,11 +80,11 @@ def make_plan(
             rows.append((sender, group, shift, mask, number, length, cyclic, 1, node_id, SAMPLES))
             keys.append((node_id, message.name))
     ids = np.array(sorted(extended), dtype=np.uint32)
-    slots = np.array([extended[can_id] for can_id in ids.tolist()], dtype=np.uint32)
-    with_counters = np.array(rows, dtype=SLOT)
-    alone = with_counters.copy()
+    of_ids = np.array([extended[can_id] for can_id in sorted(extended)], dtype=np.uint32)
+    slots = np.array(rows, dtype=SLOT)
+    alone = slots.copy()
     alone["shift"], alone["cyclic"], alone["group"] = -1, 0, np.arange(len(alone))
-    return Plan(slot_of_id, ids, slots, with_counters, alone, tuple(keys), tuple(groups))
+    return Plan(slot_of_id, ids, of_ids, slots, alone, tuple(keys), tuple(groups))
 
 
 def slots_of(plan: Plan, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint32]:
@@ -136,7 +136,7 @@ class Decoder:
         self._given: dict[int, Key] = {}  # identifiers set by remap
         self._remapped: dict[tuple[str, tuple[tuple[int, int, int], ...]], Message] = {}
         self._plans: dict[frozenset[str] | None, Plan] = {}
-        self.malformed: dict[Key, int] = {}
+        self.malformed = Counter[Key]()
         messages = tpdo_messages(n)
         for node_id in node_ids:
             if not 1 <= node_id <= 127:
@@ -219,11 +219,10 @@ class Decoder:
         """Decode FRAME array (n,) to the samples of each (node-id, message name); with ``signals`` of these alone.
         Remote and error frames and unknown identifiers are ignored. Raises InputError for an unknown name."""
         plan = self.plan(signals)
-        found: dict[Key, Samples] = {}
+        samples: dict[Key, Samples] = {}
         grouped = join(frames, slots_of(plan, frames["can_id"]), plan.alone, _NO_NUMBERS, 0, last=True)
         for slot, count in grouped.short:
-            key = plan.keys[slot - 1]
-            self.malformed[key] = self.malformed.get(key, 0) + count
+            self.malformed[plan.keys[slot - 1]] += count
         words = frames["data"].view(_WORD)[:, 0]
         for number, members in groupby(grouped.spans, key=lambda span: int(plan.slots["group"][span[0]])):
             group, spans = plan.groups[number], list(members)
@@ -232,8 +231,8 @@ class Decoder:
             t_ns, columns = frames["t_ns"][order], group.layout.columns(words[order])
             for slot, low, high in spans:
                 rows, key = slice(low - start, high - start), plan.keys[slot - 1]
-                found[key] = Samples(key[0], group.message, t_ns[rows], order[rows], columns.part(rows))
-        return found
+                samples[key] = Samples(key[0], group.message, t_ns[rows], order[rows], columns.part(rows))
+        return samples
 
     def plan(self, signals: Iterable[str] | None) -> Plan:
         """Return the slots of the present layouts, for ``signals`` as of ``decode``. Raises InputError as that."""
@@ -247,19 +246,17 @@ class Decoder:
 
 def unwrap_counter(counter: npt.ArrayLike, modulus: int = 256) -> npt.NDArray[np.int64]:
     """Return the sample counter (k,) without wraps: (k,), from its first value. ``modulus``: see ``lost_samples``."""
-    values = np.asarray(counter, dtype=np.int64)
-    if not len(values):
-        return np.zeros(0, dtype=np.int64)
-    steps = np.diff(values) % modulus
-    return np.concatenate(([0], np.cumsum(steps, dtype=np.int64))) + int(values[0])
+    values = np.array(counter, dtype=np.int64)
+    values[1:] = np.diff(values) % modulus
+    return np.cumsum(values)
 
 
 def lost_samples(counter: npt.ArrayLike, modulus: int = 256) -> int:
     """Return the number of samples missing from the counter (k,) of a PDO that is sent on every SYNC.
 
-    ``modulus``: 256, or the largest number of the SYNCs (1019h), after which they go on from 1 (``SyncModulus``); 0 is
-    then no SYNC's latch. A repeated value is a SYNC without a new sample (stale), not a loss. An 8-bit counter cannot
-    show 255 or 256 samples lost in a row (255 look like a repeat); a frame out of order counts as a loss of 254.
+    ``modulus``: 256, or the largest number of the SYNCs (1019h), after which they go on from 1; 0 is then no SYNC's
+    latch. A repeated value is no loss. 255 or 256 samples lost in a row do not show; a frame out of order counts as
+    254.
     """
     values = np.asarray(counter, dtype=np.int64)
     steps = np.diff(values if modulus == 256 else values[values > 0]) % modulus

@@ -1,7 +1,5 @@
-"""Detect two nodes with one node-id by what they send. Frames in, findings out; no clock and no bus inside. A frame may
-be lost, late or repeated by the bus, so a finding needs a row of second responses, boot-ups or heartbeats, except two
-serial numbers (1018h:4) in response to one read. Frames that two nodes send at the same time are one frame on a bus if
-their bits are the same, else error frames.
+"""Detect two nodes with one node-id by what they send. A frame may be lost, late or repeated by the bus, so a finding
+needs a row of second responses, boot-ups or heartbeats, except two serial numbers (1018h:4) in response to one read.
 """
 
 from __future__ import annotations
@@ -115,12 +113,12 @@ class _Node:
             self.doubled += 1
             self.suspect |= 2 * self.doubled >= self.answered
         self.answers[place] = data, t_ns
-        if place == _PRODUCT_PLACE and data[0] == 0x43:
-            self.product = int.from_bytes(data[4:], "little")
-        if place == _SERIAL_PLACE and data[0] == 0x43:
-            serial = int.from_bytes(data[4:], "little")
-            if serial not in self.serials:
-                self.serials.append(serial)
+        number = int.from_bytes(data[4:], "little") if data[:1] == b"\x43" else None
+        if place == _PRODUCT_PLACE and number is not None:
+            self.product = number
+        if place == _SERIAL_PLACE and number is not None:
+            if number not in self.serials:
+                self.serials.append(number)
             if not due and before not in (b"", data):
                 return True
         return not due and self.doubled >= _CERTAIN and 4 * self.doubled >= 3 * self.answered
@@ -157,15 +155,17 @@ class _Node:
 
 
 _ANY_LENGTH, _EMCY, _REQUEST, _RESPONSE = 1, 2, 3, 4
-_KIND = np.zeros(codes.STANDARD_MASK + 1, dtype=np.uint8)
+_OF_BASE = {
+    codes.HEARTBEAT_BASE: _ANY_LENGTH, codes.EMCY_BASE: _EMCY, codes.SDO_REQUEST_BASE: _REQUEST,
+    codes.SDO_RESPONSE_BASE: _RESPONSE,
+}  # fmt: skip
+_KIND_OF = [
+    _OF_BASE.get(can_id & codes.FUNCTION_MASK, 0) if can_id & codes.NODE_ID_MASK else 0
+    for can_id in range(codes.STANDARD_MASK + 1)
+]
 """By identifier what its frames are; 0: nothing that is looked at."""
-_KIND[codes.NMT_COB_ID] = _ANY_LENGTH
-for _base, _kind in (
-    (codes.HEARTBEAT_BASE, _ANY_LENGTH), (codes.EMCY_BASE, _EMCY), (codes.SDO_REQUEST_BASE, _REQUEST),
-    (codes.SDO_RESPONSE_BASE, _RESPONSE),
-):  # fmt: skip
-    _KIND[_base + 1 : _base + codes.NODE_ID_MASK + 1] = _kind
-_KIND_OF = _KIND.tolist()
+_KIND_OF[codes.NMT_COB_ID] = _ANY_LENGTH
+_KIND = np.array(_KIND_OF, dtype=np.uint8)
 _BEGINS = np.ones((5, 256), dtype=np.bool_)
 """By the kind and the first byte; of SDO frames only those count that begin a transfer."""
 _BEGINS[_REQUEST] = [command == 0x40 or command >> 5 == 1 for command in range(256)]
@@ -213,9 +213,7 @@ class DuplicateNodes:
             if can_id == codes.NMT_COB_ID:
                 self._commanded(data)
                 return None
-            node = self._nodes.get(node_id)
-            if node is None:
-                node = self._nodes[node_id] = _Node()
+            node = self._nodes.get(node_id) or self._nodes.setdefault(node_id, _Node())
             if guarding:
                 node.request(_GUARD, 1)
                 cause = ""
@@ -230,13 +228,10 @@ class DuplicateNodes:
         counter, stale = samples.columns.get("counter"), samples.columns.get("stale")
         if counter is None or stale is None:
             return
-        fresh = ~np.asarray(stale, np.bool_)
-        rows, data = samples.row[fresh].tolist(), frames["data"].tobytes()
-        for row, count in zip(rows, counter[fresh].tolist(), strict=True):
-            self.sample(
-                samples.node_id, samples.message.name, count, data[8 * row : 8 * row + 8], modulus,
-                int(frames["t_ns"][row]),
-            )  # fmt: skip
+        fresh, data, t_ns = ~np.asarray(stale, np.bool_), frames["data"].tobytes(), frames["t_ns"]
+        for row, count in zip(samples.row[fresh].tolist(), counter[fresh].tolist(), strict=True):
+            content = data[8 * row : 8 * row + 8]
+            self.sample(samples.node_id, samples.message.name, count, content, modulus, int(t_ns[row]))
 
     def sample(self, node_id: int, name: str, counter: int, data: bytes, modulus: int, t_ns: int) -> None:
         """Process a sample that is not stale: the PDO ``name`` with its counter and data."""

@@ -17,13 +17,9 @@ from tipforce.host.decoding.sdo_conversation import SdoConversation
 from tipforce.host.frames.frame_array import FrameArray
 
 if TYPE_CHECKING:
-    from canopen_device.eds.description import Description, Entry
+    from canopen_device.eds.description import Entry
 
-
-RANGES = (
-    ("TPDO", communication.TPDO, communication.LAST_TPDO),
-    ("RPDO", communication.RPDO, communication.LAST_RPDO),
-)
+RANGES = (("TPDO", communication.TPDO, communication.LAST_TPDO), ("RPDO", communication.RPDO, communication.LAST_RPDO))
 """Kind of PDO, first and last index of its communication parameters."""
 
 Values: TypeAlias = Mapping[tuple[int, int], int]
@@ -40,16 +36,15 @@ def pdo_message(found: Description, values: Values, name: str, index: int) -> tu
         return None
     mapping = index + communication.MAPPING
     words = [values.get((mapping, sub), 0) for sub in range(1, values.get((mapping, 0), 0) + 1)]
+    if not words or sum(word & 0xFF for word in words) > _MOST_BITS:
+        return None
     signals: list[Signal] = []
     start = 0
     for word in words:
-        bits = word & 0xFF
         entry = found.entry(word >> 16, word >> 8 & 0xFF) if word >> 16 >= FIRST_OBJECT else None
-        if entry is not None and entry.type.size is not None and start + bits <= _MOST_BITS:
-            signals.append(_signal(found, entry, start, bits, {one.name for one in signals}))
-        start += bits
-    if not words or start > _MOST_BITS:
-        return None
+        if entry is not None and entry.type.size is not None:
+            signals.append(_signal(found, entry, start, word & 0xFF, {signal.name for signal in signals}))
+        start += word & 0xFF
     length = (start + 7) // 8
     return cob_id & codes.STANDARD_MASK, Message("tpdo", 0, name, 0, length, tuple(signals), (), True, 255, 0)
 
@@ -84,29 +79,19 @@ class EdsDecoder(Decoder):
         super().__init__(node_ids=())
         self._devices = {node_id: _Device(read_eds(path, node_id)) for node_id, path in files}
         for node_id, device in self._devices.items():
-            for name, found in device.messages().items():
-                if found is not None:
-                    self._messages[node_id, name] = found
+            self._messages |= {(node_id, name): found for name, found in device.messages().items() if found is not None}
 
     def changes(self, frames: FrameArray) -> list[Change]:
         """Return the changes in frames (k,), which follow those of the call before, by the row they apply from."""
-        found: list[Change] = []
-        for row, node_id, data in self._services(frames):
-            device = self._devices[node_id]
-            for name, message in device.take(data):
-                found.append(Change(row + 1, (node_id, name), message))
-        return found
-
-    def _services(self, frames: FrameArray) -> Iterator[tuple[int, int, tuple[int, bytes]]]:
-        can_id = frames["can_id"]
-        node = can_id & codes.NODE_ID_MASK
-        kind = can_id & ~np.uint32(codes.NODE_ID_MASK)
-        data, length = frames["data"], frames["length"]
+        can_id, data, length = (frames[name] for name in ("can_id", "data", "length"))
+        node, kind = can_id & codes.NODE_ID_MASK, can_id & ~np.uint32(codes.NODE_ID_MASK)
         sdo = ((kind == codes.SDO_REQUEST_BASE) | (kind == codes.SDO_RESPONSE_BASE)) & (length == 8)
         booted = (kind == codes.HEARTBEAT_BASE) & (length == 1) & (data[:, 0] == codes.INITIALISING)
-        chosen = (sdo | booted) & np.isin(node, list(self._devices))
-        for row in np.flatnonzero(chosen).tolist():
-            yield row, int(node[row]), (int(kind[row]), data[row].tobytes())
+        return [
+            Change(row + 1, (int(node[row]), name), message)
+            for row in np.flatnonzero((sdo | booted) & np.isin(node, list(self._devices))).tolist()
+            for name, message in self._devices[int(node[row])].take(int(kind[row]), data[row].tobytes())
+        ]
 
 
 class _Device:
@@ -123,7 +108,6 @@ class _Device:
         self._known = self.messages()
 
     def messages(self) -> dict[str, tuple[int, Message] | None]:
-        """Return each PDO by name; None for one that is not valid."""
         messages: dict[str, tuple[int, Message] | None] = {}
         for kind, first, last in RANGES:
             for index in sorted(index for index in self._described.objects if first <= index <= last):
@@ -132,9 +116,8 @@ class _Device:
                 messages[name] = message and self._made.setdefault(message, message)
         return messages
 
-    def take(self, service: tuple[int, bytes]) -> Iterator[tuple[str, tuple[int, Message] | None]]:
+    def take(self, kind: int, data: bytes) -> Iterator[tuple[str, tuple[int, Message] | None]]:
         """Take a frame; yield the PDOs that it changes."""
-        kind, data = service
         if kind == codes.HEARTBEAT_BASE:
             self._values = dict(self._stored)
             self._sdo = SdoConversation(self._described.node_id, lambda *_: None)

@@ -87,12 +87,8 @@ class Before(NamedTuple):
 
 
 class Estimator:
-    """A calibration prepared for many readings: a call does arithmetic only.
-
-    ``estimator(gauges)`` gives the ``Contact`` of one reading (n,) of n gauges in microstrain, or the ``Contacts`` of k
-    readings (k, n) in time order; up to ``FEW`` in pure Python. Both are those of ``estimate``. Forces are newtons,
-    angles degrees. Sources: equations (1) and (16) of the paper; docs/uncertainty.md.
-    """
+    """A calibration prepared for many readings: a call does arithmetic only, of up to ``FEW`` readings in pure Python.
+    Sources: equations (1) and (16) of the paper; docs/uncertainty.md."""
 
     def __init__(self, calibration: Calibration, *, uncertainty: bool = True) -> None:
         """``uncertainty`` False: u_P, u_phi and u_theta are NaN, and BEYOND_FIRST_ORDER, which judges them, is not set.
@@ -141,15 +137,9 @@ class Estimator:
     ) -> Any: ...  # fmt: skip
 
     def __call__(
-        self,
-        microstrain: npt.ArrayLike,
-        *,
-        temperature_degC: npt.ArrayLike | None = None,
-        lost: npt.ArrayLike = 0,
-        was_present: bool = False,
-        was_overloaded: bool = False,
-        out: Contacts | None = None,
-    ) -> Contact | Contacts:
+        self, microstrain: npt.ArrayLike, *, temperature_degC: npt.ArrayLike | None = None, lost: npt.ArrayLike = 0,
+        was_present: bool = False, was_overloaded: bool = False, out: Contacts | None = None,
+    ) -> Contact | Contacts:  # fmt: skip
         """Return the ``Contact`` of one reading (n,), or the ``Contacts`` of k readings (k, n), microstrain.
 
         ``temperature_degC``: one number or (k,), NaN or None where it is not known. ``lost``: bits of gauges that
@@ -176,18 +166,14 @@ class Estimator:
             return Contact(0, scalar.NAN, -1, *values, self._status_of[status], tuple(row))
         if row is not None or readings.shape[1:] != (n,):
             raise InputError(f"microstrain has the shape {np.shape(microstrain)}: allowed are (k, {n}) and ({n},)")
-        shape = (len(readings),)
+        shape, before = (len(readings),), Before(was_present, was_overloaded)
+        degC = _numbers("temperature_degC", scalar.NAN if temperature_degC is None else temperature_degC, shape)
+        left = _numbers("lost", lost, shape)
         if len(readings) <= FEW:
-            degC = _numbers("temperature_degC", scalar.NAN if temperature_degC is None else temperature_degC, shape)
-            return self.few(readings, degC, _numbers("lost", lost, shape), Before(was_present, was_overloaded), out)[0]
+            return self.few(readings, degC, left, before, out)[0]
         strain = np.where(np.abs(readings) <= LARGEST_MICROSTRAIN, readings, np.nan) * 1e-6
-        given = Readings(
-            strain,
-            None if temperature_degC is None else _numbers("temperature_degC", temperature_degC, shape),
-            _numbers("lost", lost, shape),
-            judged.frozen_gauges(self._calibration, strain),
-        )
-        return self.table(given, Before(was_present, was_overloaded), out)[0]
+        frozen = judged.frozen_gauges(self._calibration, strain)
+        return self.table(Readings(strain, None if temperature_degC is None else degC, left, frozen), before, out)[0]
 
     def few(
         self, microstrain: FloatArray, temperature_degC: FloatArray, lost: IntArray, before: Before,
@@ -209,7 +195,9 @@ class Estimator:
     def table(self, given: Readings, before: Before, out: Contacts | None = None) -> tuple[Contacts, Before]:
         """Return the same of any number of readings, with the status as a node would give it."""
         contacts, status, after = self.rows(given, before, out)
-        contacts.status[:] = _shown_rows(status)
+        for flag, why in _FLAGS:
+            status |= np.where(status & why, flag, 0)
+        contacts.status[:] = (status | scalar.CALIBRATED) & 0xFFFF
         return contacts, after
 
     def rows(self, given: Readings, before: Before, out: Contacts | None = None) -> tuple[Contacts, IntArray, Before]:
@@ -325,14 +313,9 @@ class Estimator:
         return F, K, status
 
     def _values(
-        self,
-        F: Force,
-        K: Values,
-        scaled_K: scalar.ScaledCovariance | None,
-        status: int,
-        was_present: bool,
+        self, F: Force, K: Values, scaled_K: scalar.ScaledCovariance | None, status: int, was_present: bool,
         was_overloaded: bool,
-    ) -> tuple[int, Values]:
+    ) -> tuple[int, Values]:  # fmt: skip
         (F1, F2, F3), pull, limits = F, self._active.pull, self._active.limits
         force = scalar.scaled_force(F1, F2, F3)
         P, phi, theta, miss = scalar.contact_of(force, pull)
@@ -377,26 +360,17 @@ prepared = lru_cache(maxsize=32)(Estimator)  # of the last calibrations: those o
 
 
 def estimate(
-    calibration: Calibration,
-    microstrain: npt.ArrayLike,
-    *,
-    temperature_degC: npt.ArrayLike | None = None,
-    lost: npt.ArrayLike | None = None,
-    was_present: bool = False,
-) -> Contacts:
+    calibration: Calibration, microstrain: npt.ArrayLike, *, temperature_degC: npt.ArrayLike | None = None,
+    lost: npt.ArrayLike | None = None, was_present: bool = False,
+) -> Contacts:  # fmt: skip
     """Contact, standard uncertainties and status of gauge readings, as `tipforce estimate` gives them.
 
-    microstrain: (k, n) of n gauges in time order, or (n,) for one reading. ``temperature_degC``: (k,) or one number,
-    NaN or None where it is not known. ``lost``: (k,), bits of gauges that something else says have failed.
-    ``was_present``: contact before the first. A reading that is not finite, or over 1e6 microstrain, makes all unknown;
-    a gauge that stands still for longer than its noise allows counts as lost. For many calls, or single readings,
-    prepare an ``Estimator``. Raises InputError for other shapes.
+    microstrain: (k, n) of n gauges in time order, or (n,) for one reading; the rest, and the errors, as of an
+    ``Estimator``, to be prepared for many calls or single readings.
     """
-    readings = np.atleast_2d(floats("microstrain", microstrain))
-    given = 0 if lost is None else lost
-    contacts: Contacts = prepared(calibration)(
-        readings, temperature_degC=temperature_degC, lost=given, was_present=was_present
-    )
+    readings, bits = np.atleast_2d(floats("microstrain", microstrain)), 0 if lost is None else lost
+    estimator = prepared(calibration)
+    contacts: Contacts = estimator(readings, temperature_degC=temperature_degC, lost=bits, was_present=was_present)
     return contacts
 
 
@@ -406,12 +380,6 @@ def _room(out: Contacts | None, shape: tuple[int, ...]) -> Contacts:
     if any(not isinstance(column, np.ndarray) or column.shape != shape for column in columns):
         raise InputError(f"out: allowed is Contacts.empty({shape[0]})")
     return contacts
-
-
-def _shown_rows(status: IntArray) -> IntArray:
-    for flag, why in _FLAGS:
-        status = status | np.where(status & why, flag, 0)
-    return (status | scalar.CALIBRATED) & 0xFFFF
 
 
 def _shown(status: int) -> int:

@@ -1,11 +1,8 @@
-"""The faults of a node (2124h) as its TPDO4, EMCY and boot-up messages tell them: held until they say otherwise.
-``Health`` follows frames, ``HealthRows`` the tables of a log. By default TPDO4 is off and bits 12 to 15 are in no other
-PDO, so EMCY is all that a bus shows of them; bit 13 has none.
-"""
+"""The faults of a node (2124h) as its TPDO4, EMCY and boot-up messages tell them: held until they say otherwise. By
+default TPDO4 is off, so EMCY is all that a bus shows of bits 12 to 15; bit 13 has none."""
 
 import struct
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,16 +13,7 @@ from tipforce.arrays import BoolArray, IntArray, occurring
 from tipforce.dictionary import table as dictionary
 from tipforce.dictionary.signals import Message, Signal
 from tipforce.host.decoding.decoder import Samples
-from tipforce.host.decoding.sample_table import (
-    NO_COUNTER,
-    NO_FLAG,
-    NO_INTEGER,
-    NODE_BITS,
-    Table,
-    Values,
-    flag,
-    in_order,
-)
+from tipforce.host.decoding.sample_table import NO_COUNTER, NO_FLAG, NO_INTEGER, Table, flag, in_order, place_of
 from tipforce.host.frames.frame_array import FrameArray, heartbeats_and_emcys
 from tipforce.samples import reasons
 
@@ -74,13 +62,13 @@ def packed(columns: Mapping[str, npt.NDArray[Any]]) -> IntArray | None:
 def lost_gauges(columns: Mapping[str, npt.NDArray[Any]], shape: tuple[int, ...]) -> IntArray:
     """Bits of the gauges that the node left out or found saturated, of samples with ``shape`` (k, n): (k,). 2124h may
     come later than the sample; what counts for a sample is its own status."""
-    found = np.zeros(shape[0], dtype=np.int64)
+    bits = np.zeros(shape[0], dtype=np.int64)
     for gauge in range(shape[1]):
         told = columns.get(f"SG{gauge + 1}_fault")
         if told is not None:
-            found |= (told == 1).astype(np.int64) << gauge
+            bits |= (told == 1).astype(np.int64) << gauge
     status = columns.get("saturated")
-    return found if status is None else np.where(status == 1, found, 0)
+    return bits if status is None else np.where(status == 1, bits, 0)
 
 
 class Health:
@@ -130,15 +118,13 @@ class Health:
 
     def take(self, frames: FrameArray, decoded: Iterable[Samples] = ()) -> None:
         """Received frames, FRAME (n,): EMCY and boot-ups among them, and what was decoded of them."""
-        found: list[tuple[int, int, int | tuple[int, bytes]]] = []  # row, node-id, 2124h or a service
+        told: list[tuple[int, int, int | tuple[int, bytes]]] = []  # row, node-id, 2124h or a service
         for samples in decoded:
-            words = packed(samples.columns)
-            if words is not None:
-                rows = samples.row.tolist()
-                found += zip(rows, [samples.node_id] * len(rows), words.tolist(), strict=True)
-        for row, function, node, data in heartbeats_and_emcys(frames):
-            found.append((row, node, (function, data)))
-        for row, node, what in sorted(found, key=lambda one: one[0]):
+            if (words := packed(samples.columns)) is not None:
+                pairs = zip(samples.row.tolist(), words.tolist(), strict=True)
+                told += [(row, samples.node_id, word) for row, word in pairs]
+        told += [(row, node, (function, data)) for row, function, node, data in heartbeats_and_emcys(frames)]
+        for row, node, what in sorted(told, key=lambda of_row: of_row[0]):
             time = int(frames["t_ns"][row])
             if isinstance(what, int):
                 self.pdo(node, time, what)
@@ -194,53 +180,49 @@ class HealthRows:
         self._rows += len(table)
         service = self._take(table, place)
         for key in occurring(table.key[~service & (table.counter != NO_COUNTER)]):
-            self.sampled[key] = table.channels[key >> NODE_BITS], key & ((1 << NODE_BITS) - 1)
+            self.sampled[key] = place_of(table.channels, key)
         if self._health.nodes:
             table = self._with_faults(table, place)
         if not service.any() and EMCY not in table.values and STATE not in table.values:
             return table
-        found = table.take(np.flatnonzero(~service))
-        columns = tuple(column for column in found.columns if column.name not in (EMCY, STATE))
-        values = {column.name: found.values[column.name] for column in columns}
-        absent = {name: rows for name, rows in found.absent.items() if name in values and rows.any()}
-        return replace(found, columns=columns, values=values, absent=absent)
+        rows = table.take(np.flatnonzero(~service))
+        columns = [column for column in rows.columns if column.name not in (EMCY, STATE)]
+        return rows.of_columns(columns, rows.values, rows.absent)
 
     def _with_faults(self, table: Table, place: IntArray) -> Table:
         faults, seen = np.zeros(len(table), dtype=np.int64), np.zeros(len(table), dtype=np.int64)
         for key in occurring(table.key):
             rows = np.flatnonzero(table.key == key)
             faults[rows], seen[rows] = self._health.at(key, place[rows])
-        some = int(np.bitwise_or.reduce(seen)) if len(seen) else 0
-        new: dict[str, Values] = {}
-        absent = dict(table.absent)
+        columns, values, absent = (
+            {column.name: column for column in table.columns},
+            dict(table.values),
+            dict(table.absent),
+        )
+        some = int(np.bitwise_or.reduce(seen))
         for name, bit in NAMES.items():
-            if not some >> bit & 1 or (self._asked is not None and name not in self._asked):
-                continue
-            known = seen >> bit & 1 == 1
-            new[name] = np.where(known, faults >> bit & 1, NO_FLAG).astype(np.int8)
-            absent[name] = ~known
-        columns = {column.name: column for column in table.columns}
-        columns |= {name: flag(name) for name in new if name not in columns}
-        absent = {name: rows for name, rows in absent.items() if rows.any()}
-        ordered = in_order(columns.values(), self._asked)
-        return replace(table, columns=ordered, values={**table.values, **new}, absent=absent)
+            if some >> bit & 1 and (self._asked is None or name in self._asked):
+                known = seen >> bit & 1 == 1
+                columns.setdefault(name, flag(name))
+                values[name] = np.where(known, faults >> bit & 1, NO_FLAG).astype(np.int8)
+                absent[name] = ~known
+        return table.of_columns(in_order(columns.values(), self._asked), values, absent)
 
     def _take(self, table: Table, place: IntArray) -> BoolArray:
         """Take what the rows tell; return (k,) the rows of EMCY and heartbeats."""
         values, none = table.values, np.zeros(len(table), dtype=np.bool_)
-        emcy = none if EMCY not in values else values[EMCY] != NO_INTEGER
-        state = none if STATE not in values else values[STATE] != NO_INTEGER
-        names = [name for name in NAMES if name in values]
-        told = none if not names else np.logical_or.reduce([values[name] != NO_FLAG for name in names])
-        mask = sum(1 << NAMES[name] for name in names)
+        emcy, state = (values[name] != NO_INTEGER if name in values else none for name in (EMCY, STATE))
+        bits = {name: bit for name, bit in NAMES.items() if name in values}
+        told, faults = none, np.zeros(len(table), dtype=np.int64)
+        for name, bit in bits.items():
+            told, faults = told | (values[name] != NO_FLAG), faults | (values[name] == 1).astype(np.int64) << bit
+        mask = sum(1 << bit for bit in bits.values())
         for row in np.flatnonzero(emcy | state | told).tolist():
             key, time = int(table.key[row]), int(place[row])
-            if emcy[row]:
-                data = int(values[EMCY][row]).to_bytes(EMCY_LENGTH, "little", signed=True)
-                self._health.service(key, time, EMCY_BASE, data)
-            elif state[row]:
-                self._health.service(key, time, HEARTBEAT_BASE, bytes([int(values[STATE][row]) & 0xFF]))
+            if emcy[row] or state[row]:
+                name, base, length = (EMCY, EMCY_BASE, EMCY_LENGTH) if emcy[row] else (STATE, HEARTBEAT_BASE, 1)
+                data = int(values[name][row]).to_bytes(8, "little", signed=True)[:length]
+                self._health.service(key, time, base, data)
             else:
-                faults = sum(1 << NAMES[name] for name in names if values[name][row] == 1)
-                self._health.pdo(key, time, faults, mask)
+                self._health.pdo(key, time, int(faults[row]), mask)
         return emcy | state

@@ -1,8 +1,5 @@
-"""Recorded strains judged as the node judges its samples (fingertip.judgement): faults of 2124h, gauges left out.
-
-What is worked out once for each set of gauges is the node's own code; what is done for each sample is numpy, operation
-by operation as in the node, on columns: one array of samples for each gauge, force and element of a covariance.
-"""
+"""Recorded strains judged as the node judges its samples (fingertip.judgement): faults of 2124h, gauges left out. Numpy
+does, operation by operation, what the node does: one array for each gauge, force and element of a covariance."""
 
 from __future__ import annotations
 
@@ -25,8 +22,7 @@ from tipforce.sensor.contact.scalar_redundancy import LEAST_SHARE, NO_FAULT, exp
 
 GAUGES = (1 << table.FAULT_NO_DATA) - 1
 LARGEST_STRAIN = 0.03
-"""Largest strain of a gauge where 2112h:2 is not known: foil gauges break at 0.03 to 0.05, and each material of
-``tipforce_lab.design.other_bodies`` has yielded before. A larger one is an overload. On the wire 0.0033 is the end."""
+"""Of a gauge where 2112h:2 is not known: foil gauges break at 0.03 to 0.05. A larger strain is an overload."""
 _END_MICROSTRAIN = 3276.65  # a gauge at the end of its converter reads 32767 x 0.1 microstrain
 _SOME = FROZEN_READINGS // 2
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -63,7 +59,7 @@ class Readings(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """m samples judged."""
+    """m samples judged, and what their judgement takes."""
 
     F_newtons: list[FloatArray]
     """Three columns; NaN where the gauges left have no rank 3, or contradict each other."""
@@ -72,6 +68,17 @@ class Judged(NamedTuple):
     below the limit can do, the calibration's own and the age of the tare."""
     faults: IntArray
     """(m,): as 2124h: the gauges left out, and bits 12 to 15."""
+    V: FloatArray
+    """(n, m), offsets and temperature taken off."""
+    kelvin: Column
+    """That are compensated."""
+    unknown_kelvin: Column
+    noise: Column
+    """Of a reading, in variance, over that of one reading."""
+    drifted: FloatArray | None
+    """(m,), strain^2 of each gauge since the tare."""
+    left: IntArray
+    """(m,), bits of the gauges left out."""
 
 
 class Judge:
@@ -101,11 +108,11 @@ class Judge:
             if bits is not None:
                 lost |= bits
         drift, age_s = self.calibration.tare_drift_strain_per_s, reading.age_s
-        work = _Work(
-            V, kelvin, unknown_kelvin, 1.0 if reading.variance_factor is None else reading.variance_factor,
-            np.square(drift * age_s) if age_s is not None and drift > 0.0 else None,
-            lost.copy(), [np.full(m, np.nan) for _ in range(3)], [np.full(m, np.nan) for _ in range(6)],
-            np.broadcast_to(np.where(outside, TEMPERATURE, 0), m).copy(),
+        work = Judged(
+            [np.full(m, np.nan) for _ in range(3)], [np.full(m, np.nan) for _ in range(6)],
+            np.broadcast_to(np.where(outside, TEMPERATURE, 0), m).copy(), V, kelvin, unknown_kelvin,
+            1.0 if reading.variance_factor is None else reading.variance_factor,
+            np.square(drift * age_s) if age_s is not None and drift > 0.0 else None, lost.copy(),
         )  # fmt: skip
         if lost.any():
             for mask in np.unique(lost).tolist():
@@ -113,18 +120,17 @@ class Judge:
         else:
             self._judge_gauges(0, slice(None), work)
         faults = work.faults
-        known = is_finite(work.F)
-        faults |= np.where(known, work.left, 0)
+        faults |= np.where(is_finite(work.F_newtons), work.left, 0)
         if active.forces[1] > 0.0:
-            P = magnitude(work.F)
+            P = magnitude(work.F_newtons)
             overloaded = held(active.forces[1] < P, ~(RELEASE * active.forces[1] < P), was_overloaded)
             faults |= np.where(overloaded, OVERLOAD, 0)
         elif V.size and not np.abs(V).max() <= LARGEST_STRAIN:
             kept = (work.left >> np.arange(n)[:, np.newaxis] & 1) == 0
             faults |= np.where((kept & (np.abs(V) > LARGEST_STRAIN)).any(axis=0), OVERLOAD, 0)
-        return Judged(work.F, work.covariance, faults)
+        return work
 
-    def _judge_gauges(self, mask: int, rows: Rows, work: _Work, alone: bool = False) -> None:
+    def _judge_gauges(self, mask: int, rows: Rows, work: Judged, alone: bool = False) -> None:
         """Bit 12, force and covariance of rows with the same gauges; ``alone``: one is left out for it already."""
         active = self.active
         solver, check = active.without(mask)
@@ -159,13 +165,13 @@ class Judge:
             work.faults[rows] |= np.where(active.forces[0] < magnitude(F), BEYOND_CALIBRATED, 0)
         K = self._covariance(mask, F, V, noise, faults, rows, work)
         if isinstance(rows, slice):  # all of them
-            work.F[:], work.covariance[:] = F, K
+            work.F_newtons[:], work.covariance[:] = F, K
             return
-        for column, element in zip(work.F + work.covariance, F + K, strict=True):
+        for column, element in zip(work.F_newtons + work.covariance, F + K, strict=True):
             column[rows] = element
 
     def _leave_out(
-        self, mask: int, explains: list[BoolArray | bool], rows: Rows, contradict: BoolArray, work: _Work
+        self, mask: int, explains: list[BoolArray | bool], rows: Rows, contradict: BoolArray, work: Judged
     ) -> None:
         """Judge those rows again that one gauge alone explains, without it."""
         alone = contradict & (sum(np.asarray(of_fault, dtype=np.int64) for of_fault in explains) == 1)
@@ -174,15 +180,9 @@ class Judge:
                 self._judge_gauges(mask | 1 << gauge, of_gauge, work, alone=True)
 
     def _covariance(
-        self,
-        mask: int,
-        F: list[FloatArray],
-        V: FloatArray,
-        noise: Column,
-        faults: list[tuple[Column, Column]],
-        rows: Rows,
-        work: _Work,
-    ) -> list[Column]:
+        self, mask: int, F: list[FloatArray], V: FloatArray, noise: Column, faults: list[tuple[Column, Column]],
+        rows: Rows, work: Judged,
+    ) -> list[Column]:  # fmt: skip
         active, solver = self.active, self.active.without(mask)[0]
         assert solver is not None
         matrix = solver[0]
@@ -213,14 +213,11 @@ class Judge:
     def _doubt(self, matrix: list[list[float]], faults: list[tuple[Column, Column]], noise: Column) -> list[Column]:
         """scalar_redundancy.doubt() of samples: six columns, N^2."""
         variances = np.diagonal(self.calibration.covariance_strain2).tolist()
-        shown = [
-            (visible * variance) * noise >= LEAST_SHARE
-            for (_, visible), variance in zip(faults, variances, strict=True)
-        ]
-        most: Column = 0.0
-        for seen, (by_fault, _) in zip(shown, faults, strict=True):
-            most = np.maximum(most, np.where(seen, by_fault, 0.0))
+        shown = [visible * var * noise >= LEAST_SHARE for (_, visible), var in zip(faults, variances, strict=True)]
         sizes = [np.where(seen, by_fault, -np.inf) for seen, (by_fault, _) in zip(shown, faults, strict=True)]
+        most: Column = 0.0
+        for size in sizes:
+            most = np.maximum(most, size)
         likelihoods = [np.exp(0.5 * (size - most)) for size in sizes]
         total = NO_FAULT * np.exp(-0.5 * most) + sum(likelihoods)
         added: list[Column] = [0.0] * 6
@@ -257,25 +254,9 @@ class Judge:
         beyond = np.zeros(len(kelvin))
         if low != 0.0 or high != 0.0:
             beyond = np.maximum(np.maximum(low - temperature_degC, temperature_degC - high), 0.0)
-        return (
-            np.where(known, kelvin if active.compensated else 0.0, unknown[0]),
-            np.where(known, beyond, unknown[1]),
-            np.where(known, beyond > 0.0, unknown[2]),
-        )
-
-
-class _Work(NamedTuple):
-    """Samples while they are judged."""
-
-    V: FloatArray  # (n, m), offsets and temperature taken off
-    kelvin: Column  # that are compensated
-    unknown_kelvin: Column
-    noise: Column  # of a reading, in variance, over that of one reading
-    drifted: FloatArray | None  # (m,), strain^2 of each gauge since the tare
-    left: IntArray  # (m,), bits of the gauges left out
-    F: list[FloatArray]
-    covariance: list[Column]
-    faults: IntArray  # (m,)
+        of_known = kelvin if active.compensated else 0.0, beyond, beyond > 0.0
+        compensated, doubted, outside = (np.where(known, *pair) for pair in zip(of_known, unknown, strict=True))
+        return compensated, doubted, outside
 
 
 def at_end(microstrain: FloatArray) -> IntArray:
@@ -287,9 +268,8 @@ def at_end(microstrain: FloatArray) -> IntArray:
 def frozen_gauges(calibration: Calibration, strain: FloatArray, weight: FloatArray | None = None) -> IntArray | None:
     """Bits of the gauges that repeat one reading more often than their noise allows, (m,); None: none does.
 
-    strain: (m, n) in time order, all of a table; weight: (m,), readings that a row averages. The smallest step in the
-    table is its resolution: a gauge with less noise may repeat itself. All rows of a run are marked, the first ones
-    too, which a node cannot know yet. At an end of the converter a gauge is saturated, not frozen.
+    strain: (m, n) in time order, all of a table; weight: (m,), readings that a row averages. The smallest step is the
+    resolution: a gauge with less noise may repeat itself. All rows of a run are marked, unlike on a node.
     """
     if len(strain) <= FROZEN_READINGS:
         return None

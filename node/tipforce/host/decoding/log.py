@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import FloatArray
+from tipforce.arrays import FloatArray, occurring
 from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.host.configuration.calibration import Calibration
@@ -22,7 +22,7 @@ from tipforce.host.decoding.estimator import Contacts, prepared
 from tipforce.host.decoding.log_part import Reading
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording
-from tipforce.host.decoding.sample_table import NO_FLAG, NO_INTEGER, NODE_BITS, Column, Table, missing_of
+from tipforce.host.decoding.sample_table import NO_FLAG, NO_INTEGER, Table, missing_of, node_of
 from tipforce.host.logs.notes import no_frame
 from tipforce.samples import reasons
 from tipforce.samples.reasons import Status
@@ -57,7 +57,6 @@ class NodeLog(Contacts):
         return "\n".join(f"<{line}>" if number == 0 else f"  {line}" for number, line in enumerate(self._lines()))
 
     def _lines(self) -> Iterator[str]:
-        """The first five lines that one wants to know of a log."""
         span_s = self.t_s[-1] - self.t_s[0] if len(self) else 0.0
         yield f"NodeLog of node {self.node_id}: {len(self)} samples in {span_s:.3f} s"
         for name in ("P_newtons", "phi_deg", "theta_deg"):
@@ -82,19 +81,15 @@ class NodeLog(Contacts):
         if own_u_P is not None and np.isnan(contact["u_P_N"]).all():
             contact["u_P_N"] = own_u_P
         for name, values in {**contact, **forces, **strains, **others}.items():
-            unknown = (
-                np.isnan(values)
-                if values.dtype.kind == "f"
-                else values == (NO_FLAG if values.dtype == np.int8 else NO_INTEGER)
-            )
-            whole = values.astype(np.bool_) if values.dtype == np.int8 else values
-            arrays[name] = pa.array(whole, mask=unknown)
+            is_flag = values.dtype == np.int8
+            unknown = np.isnan(values) if values.dtype.kind == "f" else values == (NO_FLAG if is_flag else NO_INTEGER)
+            arrays[name] = pa.array(values.astype(np.bool_) if is_flag else values, mask=unknown)
         arrays["status"] = pa.array(self.status)
         return pa.table(arrays)
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return ``to_arrow`` as a data frame. Raises EnvironmentLackError without pandas or pyarrow."""
-        return _data_frame(self.to_arrow())
+        return _data_frame(self)
 
 
 class Log(Mapping[int, NodeLog]):
@@ -132,13 +127,14 @@ class Log(Mapping[int, NodeLog]):
     def to_arrow(self) -> pyarrow.Table:
         """Return the samples of all nodes as one Arrow table in the order of time. See ``NodeLog.to_arrow``."""
         pa = _pyarrow()
-        tables = [samples.to_arrow() for samples in self.values()]
-        whole = pa.concat_tables(tables, promote_options="default") if tables else pa.table({})
-        return whole.sort_by([("t_s", "ascending"), ("node", "ascending")]) if tables else whole
+        if not self:
+            return pa.table({})
+        whole = pa.concat_tables([samples.to_arrow() for samples in self.values()], promote_options="default")
+        return whole.sort_by([("t_s", "ascending"), ("node", "ascending")])
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return ``to_arrow`` as a data frame. Raises EnvironmentLackError without pandas or pyarrow."""
-        return _data_frame(self.to_arrow())
+        return _data_frame(self)
 
 
 def _pyarrow() -> Any:
@@ -149,9 +145,9 @@ def _pyarrow() -> Any:
     return pyarrow
 
 
-def _data_frame(table: pyarrow.Table) -> pandas.DataFrame:
+def _data_frame(samples: NodeLog | Log) -> pandas.DataFrame:
     try:
-        return table.to_pandas()
+        return samples.to_arrow().to_pandas()
     except ImportError:
         raise EnvironmentLackError("to_pandas needs pandas: `pip install pandas`") from None
 
@@ -181,7 +177,7 @@ def read_log(
         given.update(calibration.items())
     elif calibration is not None:
         given[None] = calibration
-    n = _gauges({one.gauges for one in given.values()} | ({gauges} if gauges else set()))
+    n = _gauges({tip.gauges for tip in given.values()} | ({gauges} if gauges else set()))
     recording = Recording(Reading(Layouts(n), buses=None if channel is None else (channel,), strict=strict))
     tables = list(tables_of_logs(recording, names))
     told = recording.told
@@ -190,13 +186,13 @@ def read_log(
     if channel is not None and channel not in recording.channels:
         raise InputError(f"{', '.join(names)}: no frame of channel {channel!r} in it")
     nodes: dict[int, NodeLog] = {}
-    for key in sorted({int(key) for one in tables for key in np.unique(one.key)}):
-        node_id = key & ((1 << NODE_BITS) - 1)
+    for key in sorted({key for part in tables for key in occurring(part.key)}):
+        node_id = node_of(key)
         if node_id in nodes:
-            found = ", ".join(recording.channels)
-            raise InputError(f"{names[0]}: node {node_id} is on several buses; choose a channel: {found}")
-        of_node = [one.take(np.flatnonzero(one.key == key)) for one in tables]
-        nodes[node_id] = _node_log(node_id, [one for one in of_node if len(one)], n, given)
+            channels = ", ".join(recording.channels)
+            raise InputError(f"{names[0]}: node {node_id} is on several buses; choose a channel: {channels}")
+        of_node = (part.take(np.flatnonzero(part.key == key)) for part in tables)
+        nodes[node_id] = _node_log(node_id, list(filter(len, of_node)), n, given.get(node_id, given.get(None)))
     lost = dict.fromkeys(nodes, 0) | {node: count for (_, node), count in told.tally.lost().items()}
     unseen = [node for _, node in told.unseen if node not in given and None not in given]
     if unseen:
@@ -220,15 +216,15 @@ def _gauges(counts: set[int]) -> int:
     return counts.pop() if counts else table.MIN_GAUGES
 
 
-def _node_log(node_id: int, tables: list[Table], n: int, given: Mapping[int | None, Calibration]) -> NodeLog:
+def _node_log(node_id: int, tables: list[Table], n: int, calibration: Calibration | None) -> NodeLog:
     """Return the samples of one node, which occurs in each of ``tables``."""
-    of_signal = {column.signal: column for one in tables for column in one.columns}
-    columns = {name: _column(tables, column) for name, column in of_signal.items()}
-    t_ns = np.concatenate([one.t_ns for one in tables])
-    counter = np.concatenate([one.counter for one in tables])
-    unknown = np.full(len(t_ns), np.nan)
-    columns = {f"SG{gauge + 1}": unknown for gauge in range(n)} | columns
-    calibration = given.get(node_id, given.get(None))
+    t_ns, counter = (np.concatenate([getattr(part, name) for part in tables]) for name in ("t_ns", "counter"))
+    gauges, unknown = [f"SG{gauge + 1}" for gauge in range(n)], np.full(len(t_ns), np.nan)
+    of_signal = {column.signal: column for part in tables for column in part.columns}
+    columns = dict.fromkeys(gauges, unknown) | {
+        signal: np.concatenate([of.values[c.name] if c.name in of.values else missing_of(c, len(of)) for of in tables])
+        for signal, c in of_signal.items()
+    }
     samples = JoinedSamples(
         t_ns, np.full(len(t_ns), node_id, dtype=np.uint8), counter, columns, gauges=n,
         calibrations={node_id: calibration}, fingers=(node_id,),
@@ -242,12 +238,6 @@ def _node_log(node_id: int, tables: list[Table], n: int, given: Mapping[int | No
     status |= np.where(spared, np.uint16(Status.LEFT_OUT), np.uint16(0))  # the gauges left give the force
     forces = ("F1", "F2", "F3")
     F_newtons = np.stack([columns.get(name, unknown) for name in forces], axis=-1).astype(np.float64)
-    names = {"P", "phi", "theta", *forces, *(f"SG{gauge + 1}" for gauge in range(n))}
-    others = {name: column for name, column in columns.items() if name not in names}
+    others = {name: of for name, of in columns.items() if name not in {"P", "phi", "theta", *forces, *gauges}}
     P, phi, theta, u_P, u_phi, u_theta = values.T
     return NodeLog(P, phi, theta, u_P, u_phi, u_theta, status, node_id, t_ns * 1e-9, counter, strain, F_newtons, others)
-
-
-def _column(tables: list[Table], column: Column) -> npt.NDArray[Any]:
-    parts = [one.values[column.name] if column.name in one.values else missing_of(column, len(one)) for one in tables]
-    return np.concatenate(parts)

@@ -91,14 +91,12 @@ class Source(LogReader):
             piece.name, strict=reading.strict, follow=reading.follow and piece.name != "-", deltas=reading.deltas,
             part=(piece.start, piece.end), stop=reading.stop,
         )  # fmt: skip
-        self._reading = reading
-        self._origin = reading.origin_ns
-        self._progress = progress
+        self._reading, self._origin, self._progress = reading, reading.origin_ns, progress
 
     def __iter__(self) -> Iterator[FrameArray]:
         """Yield blocks of frames, none empty. Raises InputError, StrictError."""
+        done = 0
         with self:
-            done = 0
             for block in self._read():
                 frames = self._chosen(block)
                 if self._progress is not None:
@@ -114,8 +112,7 @@ class Source(LogReader):
         except InputError as error:
             if not self.strict:
                 raise
-            text = str(error)
-            name = "stdin" if self.source == "-" else self.source
+            text, name = str(error), "stdin" if self.source == "-" else self.source
             strict = StrictError(text if text.startswith(name) else f"{name}: {text}")
             strict.bad, strict.goes_on = self.first_bad_line, self.goes_on
             raise strict from None

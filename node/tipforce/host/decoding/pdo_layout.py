@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -57,36 +57,29 @@ def dcf_layout(path: str | Path, node_id: int | None = None) -> NodeLayout:
             f"{path}: no NodeID in [DeviceComissioning], as the DCF of a node has; `tipforce config save` writes one"
         )
     node = _number(path, "NodeID", text or "", 0) if node_id is None else node_id
-    product = _value(found, path, communication.IDENTITY, 2, node)
-    gauges = _gauges(product or 0, str(path))
-    pdos = {}
-    for number, message in enumerate(tpdo_messages(gauges)):
-        cob_id = _value(found, path, communication.TPDO + number, 1, node)
-        if cob_id is None:
-            continue
-        count = _value(found, path, communication.TPDO_MAPPING + number, 0, node) or 0
-        mapping = communication.TPDO_MAPPING + number
-        if not 0 <= count <= _MOST_MAPPED:
-            raise InputError(f"{path}: 0x{mapping:04X}:00 = {count}: allowed are 0 to {_MOST_MAPPED} mapped objects")
-        words = [_value(found, path, mapping, sub, node) or 0 for sub in range(1, count + 1)]
-        pdos[message.name] = _pdo(str(path), cob_id, words)
-    return NodeLayout(node, gauges, pdos)
+    return _layout(str(path), node, lambda index, sub: _value(found, path, index, sub, node))
 
 
 def node_layout(sdo: SdoChannel) -> NodeLayout:
     """Read the layout of a node. Raises as ``SdoChannel.upload``, and InputError for a node that is not a fingertip."""
+    return _layout(
+        f"node {sdo.node_id}", sdo.node_id, lambda index, sub: int.from_bytes(sdo.upload(index, sub), "little")
+    )
 
-    def number(index: int, sub: int) -> int:
-        return int.from_bytes(sdo.upload(index, sub), "little")
 
-    place = f"node {sdo.node_id}"
-    gauges = _gauges(number(communication.IDENTITY, 2), place)
+def _layout(place: str, node_id: int, number: Callable[[int, int], int | None]) -> NodeLayout:
+    """Return the layout that ``number`` gives by index and sub-index."""
+    gauges = _gauges(number(communication.IDENTITY, 2) or 0, place)
     pdos = {}
     for position, message in enumerate(tpdo_messages(gauges)):
-        mapping = communication.TPDO_MAPPING + position
-        words = [number(mapping, sub) for sub in range(1, number(mapping, 0) + 1)]
-        pdos[message.name] = _pdo(place, number(communication.TPDO + position, 1), words)
-    return NodeLayout(sdo.node_id, gauges, pdos)
+        mapping, cob_id = communication.TPDO_MAPPING + position, number(communication.TPDO + position, 1)
+        if cob_id is None:
+            continue
+        count = number(mapping, 0) or 0
+        if not 0 <= count <= _MOST_MAPPED:
+            raise InputError(f"{place}: 0x{mapping:04X}:00 = {count}: allowed are 0 to {_MOST_MAPPED} mapped objects")
+        pdos[message.name] = _pdo(place, cob_id, [number(mapping, sub) or 0 for sub in range(1, count + 1)])
+    return NodeLayout(node_id, gauges, pdos)
 
 
 def dbc_messages(path: str | Path) -> dict[Key, tuple[int, Message]]:
@@ -107,13 +100,9 @@ def dbc_messages(path: str | Path) -> dict[Key, tuple[int, Message]]:
     messages = getattr(database, "messages", None)
     if messages is None or not hasattr(database, "get_message_by_frame_id"):
         raise InputError(f"{path}: contains no CAN messages")
-    found: dict[Key, tuple[int, Message]] = {}
     alike: dict[Message, Message] = {}  # one object per layout, so that nodes are decoded together
-    for message in messages:
-        if message.length <= 8:
-            key, can_id, layout = _dbc_message(path, message)
-            found[key] = can_id, alike.setdefault(layout, layout)
-    return found
+    layouts = (_dbc_message(path, message) for message in messages if message.length <= 8)
+    return {key: (can_id, alike.setdefault(layout, layout)) for key, can_id, layout in layouts}
 
 
 def _gauges(product: int, place: str) -> int:
@@ -193,21 +182,18 @@ class Layouts:
         """Return a separate decoder for each bus. Raises InputError for incompatible layouts. ``services``: of EMCY and
         heartbeats too (``health``), except for a DBC."""
         if self.dbc is not None:
-            wanted = None if self.nodes is None else {*self.nodes}
-            found = dbc_messages(self.dbc)
-            return Decoder.of_messages({k: v for k, v in found.items() if wanted is None or k[0] in wanted})
+            given = dbc_messages(self.dbc)
+            return Decoder.of_messages({k: v for k, v in given.items() if self.nodes is None or k[0] in self.nodes})
+        nodes = range(1, 128) if self.nodes is None else self.nodes
         if self.eds:
             from tipforce.host.decoding.eds_decoder import EdsDecoder
 
-            return EdsDecoder((node, path) for node, path in self.eds if self.nodes is None or node in self.nodes)
-        nodes = range(1, 128) if self.nodes is None else self.nodes
+            return EdsDecoder((node, path) for node, path in self.eds if node in nodes)
         decoder = Decoder(self.gauges, nodes)
         for message in SERVICES if services else ():
             decoder.add(message, nodes)
-        for node, pdos in self.pdos:
-            if self.nodes is None or node in self.nodes:
-                for name, can_id, mapping in pdos:
-                    decoder.remap(node, name, can_id, mapping)
+        for node, name, can_id, mapping in ((node, *pdo) for node, pdos in self.pdos if node in nodes for pdo in pdos):
+            decoder.remap(node, name, can_id, mapping)
         return decoder
 
 
@@ -225,14 +211,14 @@ def with_layouts(layouts: Layouts, nodes: Iterable[NodeLayout]) -> Layouts:
 
 def signals_named(decoder: Decoder, names: Iterable[str]) -> tuple[str, ...]:
     """Return the signals for some names: `P` and `P_N` are the same. Raises InputError for an unknown name."""
-    found = []
-    for name in names:
+
+    def signal(name: str) -> str:
         bare = next((name.removesuffix(suffix) for suffix in _SUFFIXES if name.endswith(suffix)), name)
-        signal = name if bare == name or has_signal(decoder, name) else bare
-        if signal not in found:
-            found.append(signal)
-    decoder.plan(found)
-    return tuple(found)
+        return name if bare == name or has_signal(decoder, name) else bare
+
+    signals = tuple(dict.fromkeys(map(signal, names)))
+    decoder.plan(signals)
+    return signals
 
 
 def has_signal(decoder: Decoder, name: str) -> bool:

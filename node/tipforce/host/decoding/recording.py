@@ -1,8 +1,7 @@
 """The tables of a recording, from consecutive logs or from parts that are decoded apart: the same as from one log. A
-part decoded before those in front cannot know open rows at its edges, where counters continue, their modulus, and the
-faults (2124h) that are set. So its first frames, the head, only bring the decoder into its state, and are decoded again
-after the parts in front. Where that ends in the same state, the rows behind the head are right, but for counters and
-faults; otherwise the whole part is decoded again. The ``State`` behind it is known before its rows are written.
+part decoded before those in front lacks their ``State``. So its first frames, the head, only bring the decoder into
+its state, and are decoded again after the parts in front. Where that ends in the same state, the rows behind the head
+are right, but for counters and faults; otherwise the whole part is decoded again.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ from tipforce.host.decoding.health import HealthRows, joins
 from tipforce.host.decoding.log_part import Piece, Progress, Reading, Source, StrictError
 from tipforce.host.decoding.sample_merger import OpenRows, SampleMerger, renumbered
 from tipforce.host.decoding.sample_rule import GAP_FRAMES, GAP_NS
-from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table, in_order
-from tipforce.host.decoding.services import BusEvent, BusEvents
+from tipforce.host.decoding.sample_table import Column, Table, in_order, place_of
+from tipforce.host.decoding.services import BusEvents
 from tipforce.host.frames.frame_array import FRAME, MAX_CHANNELS, FrameArray
 from tipforce.host.logs.notes import LogNotes
 
@@ -49,9 +48,12 @@ class Told:
     """Channel and node-id of the nodes of which nothing told bits 12 to 15 of 2124h; empty where none was asked for."""
     bus: BusEvents = field(default_factory=BusEvents)
 
-    def events(self) -> list[BusEvent]:
-        """Return the EMCYs and the changes of NMT states of the whole recording, in order."""
-        return self.bus.found
+    def append(self, other: Told) -> None:
+        """Add the results of logs that follow."""
+        self.tally.append(other.tally)
+        self.notes += other.notes
+        self.unseen = sorted({*self.unseen, *other.unseen})
+        self.bus.found += other.bus.found
 
 
 @dataclass(slots=True)
@@ -120,7 +122,7 @@ class Recording:
         merger.resume(OpenRows(held, np.array(state.held_number, dtype=np.int64), state.syncs))
         self._counters, self._health = Counters(state.counters), HealthRows(self.reading.signals, state.health)
         for key in state.sampled:
-            self._health.sampled[key] = self.channels[key >> NODE_BITS], key & ((1 << NODE_BITS) - 1)
+            self._health.sampled[key] = place_of(self.channels, key)
         self.told.tally, merger.tally = Tally.of_rows(state.tally, state.short), Tally()
 
     def state(self) -> State:
@@ -148,8 +150,7 @@ class Recording:
                     tap(block, source.channels)
                 self.told.bus.add(block, source.channels)
                 self._merger.timed = before and source.timed
-                for table in self._merger.tables(renumbered(block, self.numbers_of(source.channels))):
-                    yield from self._finished(table)
+                yield from self._finished(self._merger.tables(renumbered(block, self.numbers_of(source.channels))))
         except StrictError as error:
             raise self.numbered(error) from None
         finally:
@@ -164,8 +165,7 @@ class Recording:
 
     def finish(self) -> Iterator[Table]:
         """Yield the rows that are still open: the recording ends."""
-        for table in self._merger.finish():
-            yield from self._finished(table)
+        yield from self._finished(self._merger.finish())
         self._take_tally()
         if joins(self.reading.signals):
             self.told.unseen = self._health.unseen
@@ -184,19 +184,17 @@ class Recording:
     def _behind_head(
         self, rows: Iterable[Table], part: DecodedPart, numbers: Sequence[int], before: bool
     ) -> Iterator[Table]:  # fmt: skip
-        for table in rows:
-            yield from self._finished(table)
-        for table in part.kept:
-            yield from self._finished(table.renumbered(numbers, tuple(self.channels), self._merger.timed))
+        yield from self._finished(rows)
+        channels, timed = tuple(self.channels), self._merger.timed
+        yield from self._finished(table.renumbered(numbers, channels, timed) for table in part.kept)
         self._merger.timed = before and part.notes.timed
         self._merger.resume(part.tail.renumbered(numbers))
         self._merger.tally.append(part.tally)
         self._take_notes(part.notes)
 
-    def _finished(self, table: Table) -> Iterator[Table]:
-        joined = self._health.joined(self._counters.unwrapped(table))
-        if len(joined):
-            yield joined
+    def _finished(self, tables: Iterable[Table]) -> Iterator[Table]:
+        """Yield the tables with their counters unwrapped and the faults joined, none empty."""
+        return filter(len, (self._health.joined(self._counters.unwrapped(table)) for table in tables))
 
     def _take_tally(self) -> None:
         self.told.tally.append(self._merger.tally)
@@ -219,7 +217,7 @@ class Recording:
 def noting(tables: Iterable[Table], columns: Headers) -> Iterator[Table]:
     """Yield tables; append their columns and channels each time they change."""
     for table in tables:
-        if not columns or columns[-1] != (table.columns, table.channels):
+        if columns[-1:] != [(table.columns, table.channels)]:
             columns.append((table.columns, table.channels))
         yield table
 
@@ -240,14 +238,16 @@ class DecodedPart:
         self._again: _Kept | None = None  # all its rows, where they were decoded after the others
         for block in source:
             self.services.append(services(block))
-            merger.channels, merger.timed = source.channels, source.timed
-            rest = block
+            merger.channels, merger.timed, rest = source.channels, source.timed, block
             while self.behind_head is None and len(rest):
                 self.head.append(rest[:_STEP_FRAMES])
                 rest = rest[_STEP_FRAMES:]
                 for _ in merger.tables(self.head[-1]):
                     pass
-                if _is_long(self.head) and merger.sync.settled:
+                # No row behind the head depends on what is in front of it.
+                span_ns = self.head[-1]["t_ns"][-1] - self.head[0]["t_ns"][0]
+                is_long = span_ns > _HEAD_NS or sum(map(len, self.head)) > _HEAD_FRAMES
+                if is_long and merger.sync.settled:
                     self.behind_head, self.head_timed, merger.tally = merger.open, merger.timed, Tally()
                     self.head = [np.concatenate(self.head)]
             for table in merger.tables(rest) if len(rest) else ():
@@ -282,11 +282,6 @@ class DecodedPart:
                 return chain(tables, recording.finish() if last else ())
             self.follow(before, last=last)  # a cluster moved the part before another copy followed
         return iter(self._again or ())
-
-
-def _is_long(head: list[FrameArray]) -> bool:
-    """Return whether no row behind a head depends on what is in front of it."""
-    return head[-1]["t_ns"][-1] - head[0]["t_ns"][0] > _HEAD_NS or sum(map(len, head)) > _HEAD_FRAMES
 
 
 class _Kept:

@@ -69,15 +69,12 @@ class SampleMerger:
         decoder: Callable[[], Decoder],
         channels: list[str],
         signals: tuple[str, ...] | None,
-        *,
         follows: bool = False,
     ) -> None:
         """``follows``: the layouts change with ``Decoder.changes``."""
-        self._make = decoder
-        self._follows = follows
+        self._make, self._follows, self._signals = decoder, follows, signals
         self._decoders: dict[int, Decoder] = {}
-        self._signals = signals
-        self._wanted: tuple[str, ...] | None = signals
+        self._wanted = signals
         if signals is not None and COUNTER not in signals and has_signal(decoder(), COUNTER):
             self._wanted = (*signals, COUNTER)
         self._columns: dict[str, Column] = {}
@@ -115,17 +112,16 @@ class SampleMerger:
         return changes
 
     def _joined(self, frames: FrameArray, *, last: bool = False) -> Iterator[Table]:
-        block = (
-            np.concatenate((self._held.view(_PLAIN), frames.view(_PLAIN))).view(FRAME) if len(self._held) else frames
-        )
+        block = frames
+        if len(self._held):
+            block = np.concatenate((self._held.view(_PLAIN), frames.view(_PLAIN))).view(FRAME)
         slots = self._slots_of(block)
         self._slots.set_moduli(self.sync.of)
         joined = join(block, slots, self._slots.layouts, self._held_number, self._count, last=last)
         self._count = joined.number
         self._held, self._held_number = block[joined.held], joined.held_number
         for slot, count in joined.short:
-            place = self._place(slot)
-            self.tally.short[place] = self.tally.short.get(place, 0) + count
+            self.tally.short[self._place(slot)] += count
         if len(joined.first):
             yield self._table(block, slots, joined)
 
@@ -151,10 +147,8 @@ class SampleMerger:
     def _slots_of(self, block: FrameArray) -> npt.NDArray[np.uint32]:
         channels = occurring(block["channel"])
         if self._changed or not {*channels} <= self._slots.plans.keys():
-            self._changed = False
-            plans = {
-                number: self._decoder(number).plan(self._wanted) for number in sorted({*self._decoders, *channels})
-            }
+            self._changed, numbers = False, sorted({*self._decoders, *channels})
+            plans = {number: self._decoder(number).plan(self._wanted) for number in numbers}
             self._slots = _Slots(plans, with_counter_alone=self._wanted is self._signals)
         if len(channels) == 1:
             return self._slots.of(channels[0], block["can_id"])
@@ -169,17 +163,14 @@ class SampleMerger:
         return self.channels[channel], node_id, name
 
     def _in_turn(self, counts: Iterable[SlotCount]) -> list[tuple[int, list[SlotCount]]]:
+        """Return the counts by group, in the order in which a node sends its messages."""
         of_group: dict[int, list[SlotCount]] = {}
         first: dict[str, int] = {}  # slot of a message, by its name
         for count in counts:
             of_group.setdefault(int(self._slots.layouts["group"][count.slot]), []).append(count)
             first.setdefault(self._slots.places[count.slot][2], count.slot)
-
-        def turn(of_group: tuple[int, list[SlotCount]]) -> tuple[int, int]:
-            message = self._slots.groups[of_group[0]].message
-            return message.number, first[message.name]
-
-        return sorted(of_group.items(), key=turn)
+        messages = {group: self._slots.groups[group].message for group in of_group}
+        return sorted(of_group.items(), key=lambda of: (messages[of[0]].number, first[messages[of[0]].name]))
 
     def _table(self, block: FrameArray, slots: npt.NDArray[np.uint32], joined: Joined) -> Table:
         """Return the complete rows; columns of messages whose frames are all in open rows are empty."""
@@ -216,13 +207,13 @@ class _Values:
 
     def __init__(self, rows: int) -> None:
         self._rows = rows
-        self._present: dict[str, BoolArray] = {}  # of the columns that lack values
         self.found: dict[str, Values] = {}
+        self.absent: dict[str, BoolArray] = {}  # by name, where no message had the column yet
 
     @property
     def whole(self) -> frozenset[str]:
         """Names of the columns that have a value in each row."""
-        return frozenset(self.found.keys() - self._present.keys())
+        return frozenset(self.found.keys() - self.absent.keys())
 
     def add(self, column: Column, where: npt.NDArray[np.int64] | None, what: Values) -> None:
         """Add the values of a signal, whose column is not whole, in different rows ``where``; None: in all."""
@@ -232,18 +223,13 @@ class _Values:
             self.found[name] = what.view(kind) if what.dtype == np.bool_ else what.astype(kind, copy=False)
             return
         values = self.found.setdefault(name, missing_of(column, self._rows))
-        there = self._present.setdefault(name, np.zeros(self._rows, dtype=np.bool_))
+        absent = self.absent.setdefault(name, np.ones(self._rows, dtype=np.bool_))
         where = np.arange(self._rows) if where is None else where
-        new = ~there[where]
+        new = absent[where]
         values[where[new]] = what[new]
-        there[where] = True
-        if there.all():
-            del self._present[name]
-
-    @property
-    def absent(self) -> dict[str, BoolArray]:
-        """By name, where no message had the column."""
-        return {name: ~there for name, there in self._present.items()}
+        absent[where] = False
+        if not absent.any():
+            del self.absent[name]
 
 
 class _Group:
@@ -295,7 +281,6 @@ class _Slots:
             self.layouts["modulus"] = [self._moduli.get(channel, SAMPLES) for channel, _, _ in self.places]
 
     def of(self, channel: int, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint32]:
-        """Return the slot of each identifier (k,) of a channel."""
         slots = slots_of(self.plans[channel], can_id)
         if self._bases[channel]:
             slots[slots > 0] += np.uint32(self._bases[channel])

@@ -1,7 +1,6 @@
 """The PDOs of one latch become a sample of their node: the one rule for a finger, a page and a log. A PDO that follows
 SYNC continues the node's sample if the counter is the same, the PDO a later one and the gap small. An event-driven PDO
-carries the counter of the last latch: it joins the node's last sample if that has the same counter, and no PDO of its
-kind. Every other PDO is a sample of its own. The rule uses pairs of frames: samples do not depend on calls.
+joins the node's last sample if that has the same counter, and no PDO of its kind. Every other PDO is a sample alone.
 """
 
 from collections import Counter
@@ -31,10 +30,9 @@ SLOT = np.dtype([
     ("sender", "<u4"), ("group", "<u4"), ("shift", "<i2"), ("mask", "<i2"), ("message", "u1"), ("length", "u1"),
     ("cyclic", "u1"), ("used", "u1"), ("key", "<u2"), ("modulus", "<u2"),
 ])  # fmt: skip
-"""A message of a node. ``sender``: number of the node among all; ``group``: of messages whose frames are decoded
-together; ``shift`` and ``mask``: of the counter, shift -1 for none, and its ``modulus``; ``message``: ascending in the
-order in which a node sends its PDOs; ``length``: the least of a frame in bytes; ``cyclic``: it follows SYNC; ``used``:
-0 if it is left out; ``key``: channel and node."""
+"""A message of a node. ``sender``: the node's number; ``group``: of messages that are decoded together; ``shift``,
+``mask``, ``modulus``: of the counter, shift -1 for none; ``message``: ascending as a node sends its PDOs; ``length``:
+at least, bytes; ``cyclic``: it follows SYNC; ``used``: 0 if it is left out; ``key``: channel and node."""
 
 _MOST_COUNTER_BITS = 15
 Ints = npt.NDArray[np.int64]
@@ -72,21 +70,18 @@ class SampleRule:
 
     def row(self, sender: int, message: int, counter: int, cyclic: bool, t_ns: int, number: int, row: int) -> int:
         """Return the row of a frame, which may begin ``row``; ``number`` counts the decoded frames."""
-        last = self.last.get(sender)
-        joins = (
-            last is not None
-            and counter == last.counter
-            and abs(t_ns - last.t_ns) <= GAP_NS
-            and number - last.number <= GAP_FRAMES
-        )
         if counter == NO_COUNTER:
             return row
+        last = self.last.get(sender)
+        if last is not None:
+            is_near = abs(t_ns - last.t_ns) <= GAP_NS and number - last.number <= GAP_FRAMES
+            last = last if is_near and counter == last.counter else None
         if not cyclic:
-            if last is None or not joins or message in last.events:
+            if last is None or message in last.events:
                 return row
             last.events.add(message)
             return last.row
-        if last is None or not joins or message <= last.message:
+        if last is None or message <= last.message:
             last = self.last[sender] = _Last(row, counter)
         last.message, last.t_ns, last.number = message, t_ns, number
         return last.row
@@ -139,12 +134,12 @@ def join(
     rows, held, number, ends, counts, short = body(
         frames, slots, layouts, held_number, number, GAP_NS, GAP_FRAMES, last, work
     )
-    order, row, first, counter, kept, numbers = work
     spans = [(group, low, end) for (_, low), (group, end) in pairwise([(0, 0), *ends])]
     count = spans[-1][2] if spans else 0
+    order, row, first, counter, kept, numbers = work
     return Joined(
         order[:count], row[:count], first[:rows], counter[:rows], kept[:held], numbers[:held], number, spans,
-        [SlotCount(*numbers) for numbers in counts], short,
+        [SlotCount(*of_slot) for of_slot in counts], short,
     )  # fmt: skip
 
 

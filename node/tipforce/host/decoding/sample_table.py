@@ -28,9 +28,19 @@ _FIRST = ("P", "phi", "theta", "u_P", "u_phi", "u_theta", "F1", "F2", "F3")
 _GAUGE, _NUMBER, _FLAG, _COUNT = 20, 40, 60, 80
 
 
+def node_of(key: int) -> int:
+    """Return the node-id of a key."""
+    return key & ((1 << NODE_BITS) - 1)
+
+
+def place_of(channels: Sequence[str], key: int) -> tuple[str, int]:
+    """Return the channel and the node-id of a key."""
+    return channels[key >> NODE_BITS], node_of(key)
+
+
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: ``kind`` "real", "flag", "integer"; ``digits`` after the point (None: as needed); ``rank``: order."""
+    """``kind``: "real", "flag" or "integer"; ``digits`` after the point (None: as needed); ``rank``: its place."""
 
     name: str
     signal: str
@@ -82,12 +92,17 @@ class Table:
     def with_columns(self, columns: Iterable[Column], channels: tuple[str, ...]) -> Table:
         """Return the table with further columns, empty in all rows, and further channels."""
         new = [column for column in columns if column.name not in self.values]
-        none = {column.name: missing_of(column, len(self)) for column in new}
-        absent = {column.name: np.ones(len(self), dtype=np.bool_) for column in new}
-        ordered = in_order((*self.columns, *new))
-        return replace(
-            self, columns=ordered, values={**self.values, **none}, absent={**self.absent, **absent}, channels=channels
-        )
+        values = self.values | {column.name: missing_of(column, len(self)) for column in new}
+        absent = self.absent | {column.name: np.ones(len(self), dtype=np.bool_) for column in new}
+        return replace(self.of_columns(in_order((*self.columns, *new)), values, absent), channels=channels)
+
+    def of_columns(
+        self, columns: Iterable[Column], values: Mapping[str, Values], absent: Mapping[str, BoolArray]
+    ) -> Table:
+        """Return the table with these columns, in their order, in place of its own."""
+        shown = {column.name: values[column.name] for column in columns}
+        nowhere = {name: rows for name, rows in absent.items() if name in shown and rows.any()}
+        return replace(self, columns=tuple(columns), values=shown, absent=nowhere)
 
     def renumbered(self, numbers: Sequence[int], channels: tuple[str, ...], timed: bool) -> Table:
         """Return the table with other ``numbers`` of its channels, and without times unless ``timed``."""
@@ -96,15 +111,9 @@ class Table:
 
     def take(self, rows: npt.NDArray[Any]) -> Table:
         """Return some of the rows."""
-        return replace(
-            self,
-            t_ns=self.t_ns[rows],
-            key=self.key[rows],
-            counter=self.counter[rows],
-            cyclic=self.cyclic[rows],
-            values={name: column[rows] for name, column in self.values.items()},
-            absent={name: column[rows] for name, column in self.absent.items()},
-        )
+        values, absent = ({name: of[rows] for name, of in columns.items()} for columns in (self.values, self.absent))
+        same = self.columns, values, absent, self.channels, self.timed, self.moduli
+        return Table(self.t_ns[rows], self.key[rows], self.counter[rows], self.cyclic[rows], *same)
 
 
 def column_of(signal: Signal) -> Column:

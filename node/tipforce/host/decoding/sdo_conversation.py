@@ -28,7 +28,7 @@ def eds_names(files: Iterable[tuple[int, str]], otherwise: Describe) -> Describe
 
     known = {node_id: read_eds(path, node_id) for node_id, path in files}
 
-    def found(node_id: int, index: int, sub: int) -> Entry[Any] | None:
+    def of_file(node_id: int, index: int, sub: int) -> Entry[Any] | None:
         if node_id not in known:
             return otherwise(node_id, index, sub)
         entry = known[node_id].entry(index, sub)
@@ -36,7 +36,7 @@ def eds_names(files: Iterable[tuple[int, str]], otherwise: Describe) -> Describe
             return None
         return Entry(index, sub, entry.letter, entry.name, entry.access, entry.unit)
 
-    return found
+    return of_file
 
 
 class SdoConversation:
@@ -44,18 +44,13 @@ class SdoConversation:
     is (index, sub-index, content) of a download that the last ``response`` confirms, otherwise None."""
 
     def __init__(self, node_id: int, describe: Describe) -> None:
-        self._node_id = node_id
-        self._describe = describe
+        self._node_id, self._describe = node_id, describe
         self._place = (0, 0)
-        self._data = bytearray()
+        self._data, self._segments = bytearray(), bytearray()
         self._sent: tuple[int, int, bytes] | None = None  # a complete download, not confirmed yet
         self.written: tuple[int, int, bytes] | None = None
-        self._block = ""
-        """"download" or "upload" while raw block segments follow."""
-        self._block_size = 0
-        self._segments = bytearray()
-        self._ended = False
-        """The last segment of the block transfer has passed."""
+        self._block, self._block_size = "", 0  # "download" or "upload" while raw block segments follow
+        self._ended = False  # the last segment of the block transfer has passed
 
     def request(self, data: bytes) -> str:
         """Return the text of a client's frame."""
@@ -105,8 +100,7 @@ class SdoConversation:
         return self._block_upload_response(data) if command == 6 else f"SDO response {data.hex(' ').upper()}"
 
     def _start(self, data: bytes) -> None:
-        index, sub = struct.unpack_from("<HB", data, 1)
-        self._place = index, sub
+        self._place = struct.unpack_from("<HB", data, 1)
         self._data.clear()
         self._sent = None
         self._block, self._ended = "", False
@@ -147,8 +141,7 @@ class SdoConversation:
         return f"SDO block write {self._name()}{_size(data)}"
 
     def _block_content(self, data: bytes) -> bytes:
-        unused = data[0] >> 2 & 7
-        return bytes(self._data[: len(self._data) - unused] if unused else self._data)
+        return bytes(self._data[: len(self._data) - (data[0] >> 2 & 7)])
 
     def _block_download_response(self, data: bytes) -> str:
         kind = data[0] & 3
@@ -189,12 +182,11 @@ class SdoConversation:
         return f"SDO block {self._name()}{_size(data)}"
 
     def _block_segment(self, data: bytes) -> str:
-        number, ended = data[0] & 0x7F, bool(data[0] & 0x80)
-        self._ended = ended
+        number, self._ended = data[0] & 0x7F, bool(data[0] & 0x80)
         self._segments += data[1:]
-        if ended or number >= self._block_size:
+        if self._ended or number >= self._block_size:
             self._block = ""  # the receiver confirms now
-        return f"SDO block {self._name()}: segment {number}{', the last' if ended else ''}"
+        return f"SDO block {self._name()}: segment {number}{', the last' if self._ended else ''}"
 
     def _take_segments(self, confirmed: int) -> None:
         self._add(bytes(self._segments[: 7 * confirmed]))
@@ -203,10 +195,8 @@ class SdoConversation:
         self._segments = bytearray()
 
     def _name(self) -> str:
-        index, sub = self._place
-        found = self._describe(self._node_id, *self._place)
-        place = f"0x{index:04X}:{sub:02X}"
-        return place if found is None or found.name == place else f"{found.name} ({place})"
+        entry, place = self._describe(self._node_id, *self._place), "0x{:04X}:{:02X}".format(*self._place)
+        return place if entry is None or entry.name == place else f"{entry.name} ({place})"
 
     def _value(self, content: bytes, *, exact: bool = True) -> str:
         found = self._describe(self._node_id, *self._place)

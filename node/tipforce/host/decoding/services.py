@@ -1,7 +1,5 @@
-"""The CANopen services besides PDOs as text: NMT, SYNC, TIME, EMCY, SDO, heartbeat, LSS; frames in, records out.
-``tipforce dump`` prints them, live and from logs. ``BusEvents`` keeps the EMCYs and the changes of NMT states, for
-``tipforce decode``. Identifiers are those of the predefined connection set (CiA 301, 7.3.5).
-"""
+"""The CANopen services besides PDOs as text, for ``tipforce dump``; EMCYs and changes of NMT states as events, for
+``tipforce decode``. Identifiers are those of the predefined connection set (CiA 301, 7.3.5)."""
 
 import struct
 from collections.abc import Iterable, Iterator, Sequence
@@ -65,9 +63,8 @@ class Services:
         data, length = chosen["data"].tobytes(), chosen["length"].tolist()
         buses = (frames["channel"] if channel is None else channel)[rows].tolist()
         for k, (row, identifier) in enumerate(zip(rows.tolist(), chosen["can_id"].tolist(), strict=True)):
-            found = self._service(identifier, data[8 * k : 8 * k + length[k]], buses[k])
-            if found is not None:
-                yield Service(row, *found)
+            if (service := self._service(identifier, data[8 * k : 8 * k + length[k]], buses[k])) is not None:
+                yield Service(row, *service)
 
     def _service(self, can_id: int, data: bytes, channel: int) -> tuple[str, int, str] | None:
         node_id, function = can_id & codes.NODE_ID_MASK, can_id & codes.FUNCTION_MASK
@@ -88,11 +85,9 @@ class Services:
         if function == codes.HEARTBEAT_BASE and len(data) == 1:
             return "heartbeat", node_id, f"heartbeat {state_text(data[0] & codes.NODE_ID_MASK)}"
         if function in (codes.SDO_REQUEST_BASE, codes.SDO_RESPONSE_BASE) and len(data) == 8:
-            conversation = self._conversations.setdefault(
-                (channel, node_id), SdoConversation(node_id, self._describe)
-            )  # fmt: skip
-            requested = function == codes.SDO_REQUEST_BASE
-            return "SDO", node_id, conversation.request(data) if requested else conversation.response(data)
+            sdo = self._conversations.setdefault((channel, node_id), SdoConversation(node_id, self._describe))
+            is_request = function == codes.SDO_REQUEST_BASE
+            return "SDO", node_id, sdo.request(data) if is_request else sdo.response(data)
         return None
 
 
@@ -115,15 +110,12 @@ class BusEvents:
         columns = (chosen[name].tolist() for name in ("t_ns", "can_id", "length", "channel"))
         for k, (t_ns, can_id, length, number) in enumerate(zip(*columns, strict=True)):
             channel, node_id, content = channels[number], can_id & codes.NODE_ID_MASK, data[8 * k : 8 * k + length]
-            told = []
             duplicate = self._duplicates.setdefault(channel, DuplicateNodes()).frame(can_id, content, t_ns)
-            if duplicate is not None:
-                told.append(("duplicate", 0, str(duplicate)))
-            if (event := _event(can_id - node_id, content)) is not None:
-                told.append(event)
             if self._node_ids is None or node_id in self._node_ids:
-                for kind, code, text in told:
-                    self._append(BusEvent(t_ns, channel, node_id, kind, code, text))
+                double = None if duplicate is None else ("duplicate", 0, str(duplicate))
+                for event in (double, _event(can_id - node_id, content)):
+                    if event is not None:
+                        self._append(BusEvent(t_ns, channel, node_id, *event))
 
     def _append(self, event: BusEvent) -> None:
         """Add an event, unless it repeats the state or the calibration of its node, or that two nodes have its id."""
