@@ -123,7 +123,7 @@ def test_other_traffic_neither_extends_the_wait_nor_is_kept() -> None:
 
         def flood() -> None:
             while not stopped.wait(0.001):
-                connection.network.notify(codes.LSS_RESPONSE_COB_ID, bytearray(OTHER), 0.0)
+                connection.dispatcher.notify(codes.LSS_RESPONSE_COB_ID, bytearray(OTHER), 0.0)
 
         thread = threading.Thread(target=flood)
         thread.start()
@@ -139,7 +139,7 @@ def test_a_response_among_other_frames_is_found() -> None:
     with connected(finger(5)) as (connection, _), LssMaster(connection) as lss:
         serial = connection.sdo(5)["identity.serial"]
         found = [connection.sdo(5)[f"identity.{part}"] for part in ("vendor", "product", "revision")]
-        connection.network.notify(codes.LSS_RESPONSE_COB_ID, bytearray(OTHER), 0.0)
+        connection.dispatcher.notify(codes.LSS_RESPONSE_COB_ID, bytearray(OTHER), 0.0)
         assert lss.select(LssAddress(*(int(part) for part in (*found, serial))))
         assert lss.node_id() == 5
 
@@ -273,6 +273,6 @@ def test_a_dead_bus_is_an_error(connection: Bus, monkeypatch: pytest.MonkeyPatch
     def refuse(*_: object) -> None:
         raise can.CanOperationError("network is down")
 
-    monkeypatch.setattr(connection.network, "send_message", refuse)
+    monkeypatch.setattr(connection.dispatcher, "send_message", refuse)
     with pytest.raises(EnvironmentLackError, match="network is down"):
         find_nodes(connection, [5], WAIT_S)

@@ -44,14 +44,12 @@ class Link:
         self.connection, self.owned = connection, owned
         connection.buffer.limit = KEPT_FRAMES
         self._frames = FrameBuffer()
-        assert self.connection.network.notifier is not None  # a Bus is connected
-        self.connection.network.notifier.add_listener(self._frames)
+        connection.notifier.add_listener(self._frames)
 
     def receive(self, timeout_s: float) -> FrameArray:
         """Return the received frames, FRAME (n,), SYNCs included. Raises EnvironmentLackError if the bus fails."""
-        notifier = self.connection.network.notifier
-        if notifier is not None and notifier.exception is not None:
-            raise EnvironmentLackError(f"the bus failed: {notifier.exception}")
+        if (exception := self.connection.notifier.exception) is not None:
+            raise EnvironmentLackError(f"the bus failed: {exception}")
         return self._frames.take_some(time.monotonic() + timeout_s)
 
     def start_sync(self, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
@@ -71,12 +69,11 @@ class Link:
 
     def close(self) -> None:
         """Close the bus, or stop listening to it."""
-        notifier = self.connection.network.notifier
         if self.owned:
             self.connection.close()
-        elif notifier is not None:
+        else:
             with suppress(ValueError):
-                notifier.remove_listener(self._frames)
+                self.connection.notifier.remove_listener(self._frames)
 
 
 class SocketLink(Link):

@@ -65,13 +65,12 @@ class ContactReader:
         self._last: Contact | None = None
         self._since_s = time.monotonic()
         for can_id in (*self._assembler.pdos, *self._assembler.services):
-            connection.network.subscribe(can_id, self._on_frame)
+            connection.dispatcher.subscribe(can_id, self._on_frame)
 
     def close(self) -> None:
         """Stop receiving."""
         for can_id in (*self._assembler.pdos, *self._assembler.services):
-            with suppress(KeyError, ValueError):
-                self._connection.network.unsubscribe(can_id, self._on_frame)
+            self._connection.dispatcher.unsubscribe(can_id, self._on_frame)
 
     def next(self, deadline_s: float, period_s: float | None) -> Contact:
         """Return the next new sample. ``period_s``: of own SYNCs if no other node sends them; None: send none. Raises

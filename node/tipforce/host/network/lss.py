@@ -42,14 +42,14 @@ class LssMaster:
         self._connection = connection
         self._timeout_s = timeout_s
         self._awaited: tuple[int, Future[bytes]] | None = None
-        connection.network.subscribe(codes.LSS_RESPONSE_COB_ID, self._on_answer)
+        connection.dispatcher.subscribe(codes.LSS_RESPONSE_COB_ID, self._on_answer)
 
     def __enter__(self) -> LssMaster:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.release()
-        self._connection.network.unsubscribe(codes.LSS_RESPONSE_COB_ID, self._on_answer)
+        self._connection.dispatcher.unsubscribe(codes.LSS_RESPONSE_COB_ID, self._on_answer)
 
     def release(self) -> None:
         """Set all nodes to the waiting state; one with its first node-id boots with it now (CiA 305, 6.3.2)."""

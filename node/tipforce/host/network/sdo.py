@@ -11,10 +11,9 @@ from collections.abc import Callable, Coroutine
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import can
-import canopen
 
 from canopen_device.core import codes
 from canopen_device.core.sdo_client import SWITCH_BYTES, BlockDownload, BlockUpload, Download, Transfer, Upload
@@ -24,6 +23,11 @@ from tipforce.dictionary.entries import Entry, gauges_of, resolve
 from tipforce.dictionary.table import MIN_GAUGES
 from tipforce.errors import DuplicateNodeError, EnvironmentLackError, InputError, NoResponseError, SdoAbortError
 from tipforce.host.decoding.duplicates import PRODUCT, SERIAL, DuplicateNodes
+
+if TYPE_CHECKING:
+    import canopen
+
+    from tipforce.host.network.bus import Dispatcher
 
 T = TypeVar("T", bound=Value)
 R = TypeVar("R")
@@ -38,7 +42,7 @@ _MOST_PROBES = 16
 _DOMAIN = "D"  # the only type of objects that are long on a fingertip
 LONGEST_WAIT_S = 10.0
 _FULL_QUEUE_US = 2000  # pause after the bus refused a segment of a block: its transmit queue is full
-_REFUSALS = (can.CanError, OSError, RuntimeError)  # canopen raises the last for a closed bus
+_REFUSALS = (can.CanError, OSError, RuntimeError)  # the last for a closed bus
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +76,7 @@ class SdoChannel:
 
     def __init__(
         self,
-        network: canopen.Network,
+        network: Dispatcher | canopen.Network,
         node_id: int,
         timeout_s: float = DEFAULT_TIMEOUT_S,
         retries: int = DEFAULT_RETRIES,
