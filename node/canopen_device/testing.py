@@ -20,7 +20,7 @@ from typing import Any
 
 from canopen_device.core.codes import EMCY_BASE, NEVER_US, SDO_REQUEST_BASE, SDO_RESPONSE_BASE
 from canopen_device.core.sdo_client import Download, Transfer, Upload
-from canopen_device.running.store import MemoryStore
+from canopen_device.running.loop import MemoryStore
 
 __all__ = ["Conversation", "Fault", "Frame", "MemoryStore", "losing", "parse", "text"]
 
