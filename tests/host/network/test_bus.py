@@ -20,8 +20,9 @@ from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
 from tipforce.host.frames.frame_array import FrameBuffer, frame_array
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.find import FoundNode, find_nodes
+from tipforce.host.network.finger import LssAddress
 from tipforce.host.network.interfaces import open_bus
-from tipforce.host.network.lss import LssAddress, LssMaster
+from tipforce.host.network.lss import LssMaster
 
 
 def test_what_is_not_allowed_is_named() -> None:

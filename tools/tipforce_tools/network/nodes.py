@@ -17,8 +17,9 @@ from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.actions import add_choice
 
 if TYPE_CHECKING:
+    from tipforce.host.network.finger import LssAddress
     from tipforce.host.network.firmware import NodeProgram
-    from tipforce.host.network.lss import LssAddress, LssMaster
+    from tipforce.host.network.lss import LssMaster
 
 _CONTACT = (
     "node_id", "t_s", "counter", "P_newtons", "phi_deg", "theta_deg", "u_P_newtons", "u_phi_deg", "u_theta_deg",
@@ -176,7 +177,7 @@ def add_nmt_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_nmt(args: argparse.Namespace) -> int:
     """Send the command; with --wait print the states. Raises NoResponseError after printing those that are reached."""
-    from tipforce.host.network.bus import NotReachedError, command_and_wait
+    from tipforce.host.network.find import NotReachedError, command_and_wait
 
     if args.wait is not None and not args.ids:
         raise InputError("nmt all --wait: needs node-ids, for example 1-5")
@@ -224,7 +225,8 @@ def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_lss(args: argparse.Namespace) -> int:
     """Run the action; return 0, or 5 if no node responded. Raises RefusedError if a node refuses."""
-    from tipforce.host.network.lss import LssAddress, LssMaster
+    from tipforce.host.network.finger import LssAddress
+    from tipforce.host.network.lss import LssMaster
 
     if args.action == "assign" and not args.ids:
         raise InputError("lss assign: IDS missing; for example tipforce lss assign 1-5 --store")

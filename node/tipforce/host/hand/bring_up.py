@@ -19,10 +19,10 @@ from tipforce.host.decoding.duplicates import of_product
 from tipforce.host.hand.events import Event, Kind
 from tipforce.host.hand.file import FingerPlan, HandFile
 from tipforce.host.hand.meaning import set_overflow
-from tipforce.host.network.bus import Bus, command_and_wait
-from tipforce.host.network.find import FIND_S, responding_nodes
-from tipforce.host.network.finger import Finger
-from tipforce.host.network.lss import LssAddress, LssMaster
+from tipforce.host.network.bus import Bus
+from tipforce.host.network.find import FIND_S, command_and_wait, responding_nodes
+from tipforce.host.network.finger import Finger, LssAddress
+from tipforce.host.network.lss import LssMaster
 from tipforce.host.network.sdo import SdoChannel
 
 STEPS = ("find", "identity", "configure", "verify", "calibrate", "start")

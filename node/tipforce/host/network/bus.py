@@ -7,7 +7,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -15,7 +15,6 @@ import can
 
 from canopen_device.can_frame import raw_can_id
 from canopen_device.core import codes
-from tipforce.dictionary.service_texts import state_text
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
 from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
@@ -31,7 +30,6 @@ _SYNC_SILENT_S = 1.0
 _LONGEST_SYNC_PERIOD_S = 10.0
 _RECEIVE_CYCLE_S = 0.05  # the receiver sees the end of its thread so late
 _AFTER_ERROR_S = 0.05
-_AGAIN_S = 0.5  # an NMT command without its state
 
 Subscriber: TypeAlias = Callable[[int, bytearray, float], None]
 
@@ -69,9 +67,6 @@ class Heartbeats(can.Listener):
         Without this its thread would end with a traceback. A bus that fails repeatedly must not keep a core busy."""
         del exc
         time.sleep(_AFTER_ERROR_S)
-
-    def stop(self) -> None:
-        """Do nothing; called by the Notifier at its end."""
 
     def state(self, node_id: int) -> int | None:
         """Return the NMT state of the last heartbeat, None for a node without one."""
@@ -330,43 +325,3 @@ class Bus:
 
 
 open_connection = Bus.open
-
-
-class NotReachedError(NoResponseError):
-    """Some nodes did not report the state; ``reached`` has the states of the others, by node-id."""
-
-    def __init__(self, message: str, reached: dict[int, str]) -> None:
-        super().__init__(message)
-        self.reached = reached
-
-
-def command_and_wait(
-    connection: Bus, command: str, node_ids: Collection[int], timeout_s: float = 2.0
-) -> dict[int, str]:
-    """Send an NMT command to each node and wait for its heartbeat; return the state that each reported.
-
-    NMT is not confirmed: a command other than a reset is repeated until the heartbeat reports the state, so a node may
-    boot meanwhile. Raises NotReachedError naming the nodes whose heartbeat did not report it in time: they are off, or
-    their heartbeat (1017h) is slower or 0.
-    """
-    since_s = time.monotonic()
-    wanted, reached = NMT_COMMANDS[command][1], dict[int, str]()
-    again_s = timeout_s if command.startswith("reset") else _AGAIN_S
-    waiting = sorted(node_ids)
-    while waiting and (now_s := time.monotonic()) < since_s + timeout_s:
-        for node_id in waiting:
-            connection.nmt(command, node_id)
-        until_s = min(now_s + again_s, since_s + timeout_s)
-        for node_id in waiting:
-            if connection.heartbeats.wait(node_id, wanted, since_s, max(0.0, until_s - time.monotonic())):
-                reached[node_id] = state_text(wanted)
-        waiting = [node_id for node_id in waiting if node_id not in reached]
-    if waiting:
-        last = ((node_id, connection.heartbeats.state(node_id)) for node_id in waiting)
-        shown = [f"{n} ({'silent' if s is None else f'last reported {state_text(s)}'})" for n, s in last]
-        raise NotReachedError(
-            f"nmt {command}: no heartbeat with the new state within {timeout_s:g} s from node {', '.join(shown)}; "
-            "check that its heartbeat (1017h) is on and faster than this",
-            reached,
-        )
-    return reached

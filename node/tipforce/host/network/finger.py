@@ -17,7 +17,6 @@ from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry, gauges_of
 from tipforce.errors import InputError, RefusedError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration, difference
-from tipforce.host.network.lss import LssAddress
 from tipforce.host.network.sdo import checked_time
 
 if TYPE_CHECKING:
@@ -39,6 +38,20 @@ _REFUSALS = {
     codes.TOO_HIGH: "the condition number of C exceeds the limit 2105h:1, or its 2-norm exceeds 1e7 N per unit strain",
     codes.TOO_LOW: "the 2-norm of C is below 10 N per unit strain; check whether it is in newtons per microstrain",
 }
+
+
+@dataclass(frozen=True, slots=True)
+class LssAddress:
+    """The four numbers of 1018h that identify a device in LSS (CiA 305, 5.2)."""
+
+    vendor: int
+    product: int
+    revision: int
+    serial: int
+
+    def __str__(self) -> str:
+        numbers = f"vendor 0x{self.vendor:08X} product 0x{self.product:08X} revision 0x{self.revision:08X}"
+        return f"{numbers} serial {self.serial}"
 
 
 @dataclass(frozen=True, slots=True)

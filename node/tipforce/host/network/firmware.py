@@ -11,7 +11,8 @@ from pathlib import Path
 from canopen_device.core import codes, program
 from tipforce.dictionary import objects as od
 from tipforce.errors import InputError, NoResponseError, RefusedError, SdoAbortError
-from tipforce.host.network.bus import Bus, command_and_wait
+from tipforce.host.network.bus import Bus
+from tipforce.host.network.find import command_and_wait
 from tipforce.host.network.sdo import SdoChannel
 from tipforce_loader import image
 

@@ -6,11 +6,11 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from canopen_device.core import codes
 from tipforce.errors import InputError, NoResponseError, RefusedError
+from tipforce.host.network.finger import LssAddress
 
 if TYPE_CHECKING:
     from tipforce.host.network.bus import Bus
@@ -19,20 +19,6 @@ DEFAULT_TIMEOUT_S = 0.1
 STORE_TIMEOUT_S = 2.0  # a node responds after its memory is written
 
 _STORE_ERRORS = {1: "it has no memory for node-id and bit rate", 2: "its memory failed"}
-
-
-@dataclass(frozen=True, slots=True)
-class LssAddress:
-    """The four numbers of 1018h that identify a device in LSS (CiA 305, 5.2)."""
-
-    vendor: int
-    product: int
-    revision: int
-    serial: int
-
-    def __str__(self) -> str:
-        numbers = f"vendor 0x{self.vendor:08X} product 0x{self.product:08X} revision 0x{self.revision:08X}"
-        return f"{numbers} serial {self.serial}"
 
 
 class LssMaster:
