@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from canopen_device.core import codes, communication, emcy
-from tipforce.dictionary import entries as names
-from tipforce.dictionary import indices, table
-from tipforce.dictionary.entries import entries, objects
+from tipforce.dictionary import indices, names, table
+from tipforce.dictionary.entries import describe, entries, objects
 from tipforce.dictionary.signals import mapping_signals, rpdo_messages, tpdo_messages
 from tipforce.errors import InputError
 from tipforce.sensor.contact import scalar
@@ -57,12 +56,12 @@ def test_suggestions(text: str, help_: str) -> None:
 
 
 def test_describe() -> None:
-    found = names.describe(0x7130, 7)
+    found = describe(0x7130, 7)
     assert found is not None
     assert (found.title, found.name, found.type, found.access) == ("P", "process_value_int16:7", "h", "ro")
-    assert names.describe(0x2100, 10, 3) is None
-    assert names.describe(0x2100, 10, 4) is not None
-    assert names.describe(0x5000, 0) is None
+    assert describe(0x2100, 10, 3) is None
+    assert describe(0x2100, 10, 4) is not None
+    assert describe(0x5000, 0) is None
 
 
 def test_all_names() -> None:
