@@ -20,7 +20,7 @@ from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
 from tipforce.host.frames.frame_array import FrameBuffer, frame_array
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.find import FoundNode, find_nodes
-from tipforce.host.network.finger import LssAddress
+from tipforce.host.network.finger import Identity
 from tipforce.host.network.interfaces import open_bus
 from tipforce.host.network.lss import LssMaster
 
@@ -130,7 +130,7 @@ def test_other_traffic_neither_extends_the_wait_nor_is_kept() -> None:
         thread.start()
         try:
             assert not lss.any_unconfigured()
-            assert not lss.select(LssAddress(1, 2, 3, 4))
+            assert not lss.select(Identity(1, 2, 3, 4))
         finally:
             stopped.set()
             thread.join()
@@ -141,7 +141,7 @@ def test_a_response_among_other_frames_is_found() -> None:
         serial = connection.sdo(5)["identity.serial"]
         found = [connection.sdo(5)[f"identity.{part}"] for part in ("vendor", "product", "revision")]
         connection.dispatcher.notify(codes.LSS_RESPONSE_COB_ID, bytearray(OTHER), 0.0)
-        assert lss.select(LssAddress(*(int(part) for part in (*found, serial))))
+        assert lss.select(Identity(*(int(part) for part in (*found, serial))))
         assert lss.node_id() == 5
 
 

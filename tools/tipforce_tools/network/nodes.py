@@ -17,7 +17,7 @@ from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.actions import add_choice
 
 if TYPE_CHECKING:
-    from tipforce.host.network.finger import LssAddress
+    from tipforce.host.network.finger import Identity
     from tipforce.host.network.firmware import NodeProgram
     from tipforce.host.network.lss import LssMaster
 
@@ -225,7 +225,7 @@ def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_lss(args: argparse.Namespace) -> int:
     """Run the action; return 0, or 5 if no node responded. Raises RefusedError if a node refuses."""
-    from tipforce.host.network.finger import LssAddress
+    from tipforce.host.network.finger import Identity
     from tipforce.host.network.lss import LssMaster
 
     if args.action == "assign" and not args.ids:
@@ -244,7 +244,7 @@ def run_lss(args: argparse.Namespace) -> int:
             _configure_found(master, args.ids, store=args.store)
         else:
             revision = table.REVISION if args.revision is None else args.revision
-            address = LssAddress(args.vendor, args.product, revision, args.serial)
+            address = Identity(args.vendor, args.product, revision, args.serial)
             _configure_addressed(master, address, args.ids[0] if args.action == "assign" else None, args.store)
     return 0
 
@@ -266,7 +266,7 @@ def _configure_found(master: LssMaster, node_ids: Sequence[int | None], *, store
         master.release()
 
 
-def _configure_addressed(master: LssMaster, address: LssAddress, node_id: int | None, store: bool) -> None:
+def _configure_addressed(master: LssMaster, address: Identity, node_id: int | None, store: bool) -> None:
     """Give the node with this address another node-id; without one store the one that it has."""
     if not master.select(address):
         raise NoResponseError(f"no node with {address} responded; `tipforce scan --json` shows the nodes' identities")
@@ -280,7 +280,7 @@ def _configure_addressed(master: LssMaster, address: LssAddress, node_id: int | 
         common.note(f"node-id {common.shown_id(before)} remains active until: tipforce nmt reset-comm {before}")
 
 
-def _print_lss(address: LssAddress, node_id: int | None, stored: bool) -> None:
+def _print_lss(address: Identity, node_id: int | None, stored: bool) -> None:
     given = "" if node_id is None else f": node-id {common.shown_id(node_id)}{', stored' if stored else ''}"
     common.print_record({**asdict(address), "node_id": node_id, "stored": stored}, f"{address}{given}")
 

@@ -62,10 +62,9 @@ class Heartbeats(can.Listener):
             self._last[can_id & codes.NODE_ID_MASK] = time.monotonic(), msg.data[0] & 0x7F
             self._arrived.notify_all()
 
-    def on_error(self, exc: Exception) -> None:
+    def on_error(self, _exc: Exception) -> None:
         """Continue to listen after a bus error, which the Notifier keeps for waiting threads; called by the Notifier.
         Without this its thread would end with a traceback. A bus that fails repeatedly must not keep a core busy."""
-        del exc
         time.sleep(_AFTER_ERROR_S)
 
     def state(self, node_id: int) -> int | None:

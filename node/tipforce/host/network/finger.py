@@ -41,8 +41,8 @@ _REFUSALS = {
 
 
 @dataclass(frozen=True, slots=True)
-class LssAddress:
-    """The four numbers of 1018h that identify a device in LSS (CiA 305, 5.2)."""
+class Identity:
+    """Object 1018h, which identifies a device in LSS (CiA 305, 5.2), and the information in the product code."""
 
     vendor: int
     product: int
@@ -52,11 +52,6 @@ class LssAddress:
     def __str__(self) -> str:
         numbers = f"vendor 0x{self.vendor:08X} product 0x{self.product:08X} revision 0x{self.revision:08X}"
         return f"{numbers} serial {self.serial}"
-
-
-@dataclass(frozen=True, slots=True)
-class Identity(LssAddress):
-    """Object 1018h and the information in the product code."""
 
     @property
     def is_fingertip(self) -> bool:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from canopen_device.core import codes
 from tipforce.errors import InputError, NoResponseError, RefusedError
-from tipforce.host.network.finger import LssAddress
+from tipforce.host.network.finger import Identity
 
 if TYPE_CHECKING:
     from tipforce.host.network.bus import Bus
@@ -45,7 +45,7 @@ class LssMaster:
         """Return whether a node without a node-id responds."""
         return self._ask(codes.LSS_IDENTIFY_UNCONFIGURED, b"", codes.LSS_UNCONFIGURED_RESPONSE) is not None
 
-    def fastscan(self, known: Sequence[int] = ()) -> LssAddress | None:
+    def fastscan(self, known: Sequence[int] = ()) -> Identity | None:
         """Find one node without a node-id, and leave it in the configuration state; None if there is none.
 
         ``known`` starts the address, as far as it is known (vendor, product, ...): one request for each part instead of
@@ -59,7 +59,7 @@ class LssMaster:
             if part is None:
                 return None
             parts[sub] = part
-        return LssAddress(*parts)
+        return Identity(*parts)
 
     def _scanned(self, sub: int) -> int | None:
         """Return a part of the address, bit by bit; None if no node has it. Silence is a bit of 1, and so is a late
@@ -76,7 +76,7 @@ class LssMaster:
     def _ends(self, part: int, sub: int, timeout_s: float | None = None) -> bool:
         return self._matches(part, 0, sub, (sub + 1) % 4, timeout_s)
 
-    def select(self, address: LssAddress) -> bool:
+    def select(self, address: Identity) -> bool:
         """Set the node with this address to the configuration state, node-id or not; False without a response."""
         for k, part in enumerate((address.vendor, address.product, address.revision)):
             self._send(codes.LSS_SELECT_FIRST + k, struct.pack("<I", part))
