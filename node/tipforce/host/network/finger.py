@@ -157,12 +157,8 @@ class Finger:
     def apply_calibration(
         self, calibration: Calibration, store: bool = True, on_step: Callable[[str], None] = lambda _step: None
     ) -> int:
-        """Stage, commit, read back and compare, store; returns the generation (2103h:4).
-
-        Raises RefusedError if the node rejects the commit (the active calibration stays active) or its content differs
-        from the record sent, InputError for another number of gauges or what no sensor can have
-        (``Calibration.check``).
-        """
+        """Stage, commit, read back, compare, store; return the generation (2103h:4). Raises RefusedError if the node
+        rejects it or holds another (the active one stays), InputError for other gauges and as ``Calibration.check``."""
         calibration.check()
         identity = self.identity()
         if not identity.is_fingertip or identity.gauges != calibration.gauges:

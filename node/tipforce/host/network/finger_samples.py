@@ -34,12 +34,8 @@ _SETS = (("P", "phi", "theta"), ("F1", "F2", "F3"))
 
 
 class ContactReader:
-    """Subscribe to the PDOs of one finger and convert each new sample to a Contact.
-
-    Its PDOs are read over SDO; ``passive``: they are the default ones of ``gauges`` gauges, and nothing is sent.
-    ``calibrations``, by node-id, are used for the uncertainties. Raises as SdoChannel does, and InputError for a finger
-    whose PDOs carry no contact, no force and not all gauges, each with status and counter.
-    """
+    """Convert each new sample of a finger to a Contact, with ``calibrations``, by node-id. Its PDOs are read over SDO;
+    ``passive``: the default ones of ``gauges`` gauges, and nothing is sent. Raises as ``Finger.read``."""
 
     def __init__(
         self, connection: Bus, node_id: int, calibrations: Mapping[int, Calibration | None], passive: bool, gauges: int

@@ -88,12 +88,8 @@ def install(
     allow_downgrade: bool = False,
     progress: Callable[[int], None] = lambda _bytes: None,
 ) -> NodeProgram:
-    """Install an image and start it; return the program that the node has confirmed.
-
-    The node enters PRE-OPERATIONAL. ``progress`` receives the number of bytes sent. Raises RefusedError for a node
-    without slots, another product, a downgrade, an image that is refused or given up; NoResponseError if the node does
-    not return.
-    """
+    """Install an image and start it; return the program that the node, in PRE-OPERATIONAL, confirmed. ``progress``:
+    bytes sent. Raises RefusedError (no slots, product, downgrade, refused, given up), NoResponseError."""
     sdo = bus.sdo(node_id)
     place = f"node {node_id} (0x{node_id:02X})"
     before = node_program(sdo)
