@@ -101,6 +101,12 @@ def test_silence_in_a_block_is_acknowledged_once_and_then_ends_the_transfer() ->
     assert transfer.failure == ""
 
 
+def test_an_abort_of_the_server_is_the_end() -> None:
+    transfer = upload()
+    talk(transfer, "> 40 00 20 00 \n < 80 00 20 00 00 00 02 06")
+    assert (transfer.ended, transfer.abort_code, transfer.failure) == (True, codes.NO_OBJECT, None)
+
+
 def test_responses_to_others_are_passed_over_and_restart_no_time_out() -> None:
     transfer = upload()
     transfer.step(0)
