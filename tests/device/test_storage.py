@@ -10,6 +10,7 @@ from device.tiny import booted
 
 SAVE, LOAD = 0x65766173, 0x64616F6C
 RESET_NODE = "> 000#8105\n< 705#00"
+DEFAULTS = (0, 0xC0000185, 100, 0.5)
 COMMUNICATION = (500, 0x400001AA, 100, 0.5)
 
 
@@ -67,6 +68,17 @@ def test_damaged_group_gives_its_defaults_and_is_noted(damage: str) -> None:
     assert talk.put("I", 0x1010, 1, SAVE) == 0
     talk.say(RESET_NODE)
     assert talk.device.storage.damaged == []
+
+
+def test_every_single_bit_of_damage_is_seen() -> None:
+    store = MemoryStore()
+    assert changed(store).put("I", 0x1010, 3, SAVE) == 0
+    blob = store.groups["application"]
+    for bit in range(8 * len(blob)):
+        spoilt = bytearray(blob)
+        spoilt[bit // 8] ^= 1 << bit % 8
+        store.groups["application"] = bytes(spoilt)
+        assert settings(booted(store)) == DEFAULTS
 
 
 def test_records_that_no_longer_fit_the_dictionary_are_passed_over() -> None:

@@ -244,13 +244,15 @@ class Bus:
                 )
             return self._channels[node_id]
 
-    def nmt(self, command: str, node_id: int = 0) -> None:
-        """Send an NMT command (a key of NMT_COMMANDS) to a node, or to all with 0."""
+    def nmt(self, command: str, node_id: int = 0) -> int:
+        """Send an NMT command (a key of NMT_COMMANDS) to a node, or to all with 0; return the state that follows."""
         if command not in NMT_COMMANDS:
             raise InputError(f"NMT command {command!r}: allowed are {', '.join(NMT_COMMANDS)}")
         if node_id not in range(128):
             raise InputError(f"node-id {node_id!r}: allowed are 1 to 127, and 0 for all nodes")
-        self.send(codes.NMT_COB_ID, bytes((NMT_COMMANDS[command][0], node_id)))
+        specifier, state = NMT_COMMANDS[command]
+        self.send(codes.NMT_COB_ID, bytes((specifier, node_id)))
+        return state
 
     def sync(self) -> None:
         """Send one SYNC, with its number where ``sync_overflow`` asks for one."""

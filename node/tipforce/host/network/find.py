@@ -14,7 +14,6 @@ from tipforce.dictionary import objects as od
 from tipforce.dictionary.service_texts import state_text
 from tipforce.dictionary.table import REVISION
 from tipforce.errors import DuplicateNodeError, InputError, NoResponseError, SdoAbortError, TipforceError
-from tipforce.host.network.bus import NMT_COMMANDS
 from tipforce.host.network.finger import Finger
 from tipforce.host.network.sdo import checked_time
 from tipforce.samples import reasons
@@ -155,13 +154,12 @@ def command_and_wait(
     boot meanwhile. Raises NotReachedError naming the nodes whose heartbeat did not report it in time: they are off, or
     their heartbeat (1017h) is slower or 0.
     """
-    since_s = time.monotonic()
-    wanted, reached = NMT_COMMANDS[command][1], dict[int, str]()
+    since_s, reached = time.monotonic(), dict[int, str]()
     again_s = timeout_s if command.startswith("reset") else _AGAIN_S
     waiting = sorted(node_ids)
     while waiting and (now_s := time.monotonic()) < since_s + timeout_s:
         for node_id in waiting:
-            connection.nmt(command, node_id)
+            wanted = connection.nmt(command, node_id)
         until_s = min(now_s + again_s, since_s + timeout_s)
         for node_id in waiting:
             if connection.heartbeats.wait(node_id, wanted, since_s, max(0.0, until_s - time.monotonic())):
