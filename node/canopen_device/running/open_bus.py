@@ -11,7 +11,7 @@ from canopen_device.can_frame import raw_can_id
 from canopen_device.errors import EnvironmentLackError, InputError
 
 if TYPE_CHECKING:
-    import can  # slow to import: who only names a port does without
+    import can  # slow to import: imported where a bus is used
 
     from canopen_device.running.loop import Frame
 
