@@ -72,11 +72,11 @@ class Result:
 
 def case_calibration(case: str, pull: bool) -> Calibration:
     """Return the calibration of one gauge case by beam theory, with the simulated gauges' offset and noise."""
-    covariance = (NOISE_MICROSTRAIN**2 + COUNT_MICROSTRAIN**2 / 12.0) * np.eye(3)  # rounding to counts is noise
-    return Calibration.from_microstrain(
-        1e-6 * calibration_matrix(FABRICATED, case), OFFSETS_MICROSTRAIN, covariance, pull=pull,
+    variance = NOISE_MICROSTRAIN**2 + COUNT_MICROSTRAIN**2 / 12.0  # rounding to counts is noise
+    return Calibration(
+        calibration_matrix(FABRICATED, case), 1e-6 * np.array(OFFSETS_MICROSTRAIN), 1e-12 * variance * np.eye(3),
         serial=CASES.index(case) + 1, date=int(f"{datetime.date.today():%Y%m%d}"), layout_code=layout_code(case),
-        tip_radius_m=FABRICATED.r_m,
+        tip_radius_m=FABRICATED.r_m, pull=pull,
     )  # fmt: skip
 
 
