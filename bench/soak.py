@@ -19,7 +19,7 @@ from bench.measure import arguments, resident_bytes
 from canopen_device.core import codes, communication
 from canopen_device.core.codes import NMT_COB_ID, SYNC_COB_ID
 from canopen_device.core.node import Device
-from canopen_device.running.store import MemoryStore
+from canopen_device.running.loop import MemoryStore
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.hand.events import Supervisor

@@ -20,7 +20,7 @@ from typing import Any
 
 from canopen_device.core.codes import EMCY_BASE, NEVER_US, SDO_REQUEST_BASE, SDO_RESPONSE_BASE
 from canopen_device.core.sdo_client import Download, Transfer, Upload
-from canopen_device.running.store import MemoryStore
+from canopen_device.running.loop import MemoryStore
 
 __all__ = ["Conversation", "Fault", "Frame", "MemoryStore", "losing", "parse", "text"]
 
@@ -53,12 +53,8 @@ def parse(line: str) -> Frame:
 
 
 class Conversation:
-    """All frames to and from one device.
-
-    ``sent`` holds the frames of the device that no line has named yet. ``device`` is a ``Device``, or what has its
-    ``node_id`` and ``step``. ``emcy`` False hides its EMCY messages: "nothing else was sent" then speaks of all other
-    services.
-    """
+    """All frames to and from one device, which is a ``Device``, or has its ``node_id`` and ``step``. ``sent`` has its
+    frames that no line has named yet; ``emcy`` False hides EMCY: "nothing else was sent" then speaks of the rest."""
 
     def __init__(self, device: Any, now_us: int = 0, emcy: bool = False) -> None:
         self.device = device

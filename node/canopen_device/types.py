@@ -101,11 +101,8 @@ def encode(letter: str, value: Value) -> bytes:
 
 
 def decode(letter: str, data: bytes) -> Value:
-    """The value of bytes from the wire; unknown values (NaN, 0x8000) come back as they are.
-
-    Raises InputError where the length does not fit the type. Control characters in a text, and characters outside ASCII
-    in a VISIBLE_STRING, show as escapes: what a device sent is never a reason to fail.
-    """
+    """The value of bytes from the wire; unknown values (NaN, 0x8000) as they are, control characters in a text and
+    other than ASCII in a VISIBLE_STRING as escapes. Raises InputError for a length that does not fit the type."""
     kind = data_type(letter)
     if kind.size is not None:
         if len(data) != kind.size:

@@ -2,7 +2,7 @@
 
 import time
 
-from canopen_device.core import lss
+from canopen_device.core.storage import LSS_GROUP
 from tipforce.fingertip.node import fingertip_node
 
 from .source import Gauges
@@ -53,7 +53,7 @@ class Firmware:
             self.device.wear.drain()
         # The bit rate stored by LSS applies from power-on (CiA 305); without one, that of the board.
         self.device.lss.bit_rate = port.bit_rate
-        self.device.lss.restore(self.device.storage.read_blob(lss.GROUP))
+        self.device.lss.restore(self.device.storage.read_blob(LSS_GROUP))
         if self.device.lss.bit_rate != port.bit_rate:
             port.set_bit_rate(self.device.lss.bit_rate)
         self._mute_until_us = -1

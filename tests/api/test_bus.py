@@ -228,6 +228,14 @@ def test_a_canopen_network_in_use_keeps_working(bus: tipforce.SimulatedBus) -> N
         network.disconnect()
 
 
+def test_a_bus_gives_a_canopen_network(bus: tipforce.SimulatedBus) -> None:
+    with tipforce.open(**bus.bus_options) as opened:
+        node = opened.network.add_node(canopen.RemoteNode(5, canopen.ObjectDictionary()))
+        assert opened.network is opened.network
+        assert node.sdo.upload(0x1018, 4) == (1005).to_bytes(4, "little")
+        assert opened.finger(5).read().ok
+
+
 def test_a_network_that_is_not_connected_is_refused() -> None:
     with pytest.raises(tipforce.InputError, match=r"connect\(\) first"):
         tipforce.open(canopen.Network())

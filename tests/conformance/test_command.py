@@ -17,7 +17,7 @@ from canopen_conformance.dut import Dut
 from canopen_conformance.run import FAIL, PASS, Result, lines, run_case, run_on, summary
 from canopen_conformance.wire import CoreLink
 from canopen_device.running import loop
-from canopen_device.running.ports import PythonCanPort
+from canopen_device.running.open_bus import PythonCanPort
 from conformance.fingertip import all_cases, core_node, matching, run_in_process
 from tipforce_tools.cli.main import main
 

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from canopen_device.core import codes, communication, emcy
-from tipforce.dictionary import entries as names
-from tipforce.dictionary import indices, table
+from tipforce.dictionary import indices, names, table
 from tipforce.dictionary.entries import entries, objects
 from tipforce.dictionary.signals import mapping_signals, rpdo_messages, tpdo_messages
 from tipforce.errors import InputError

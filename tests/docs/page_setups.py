@@ -21,7 +21,7 @@ import pytest
 
 import tipforce
 from canopen_device.running import loop
-from canopen_device.running.ports import PythonCanPort
+from canopen_device.running.open_bus import PythonCanPort
 from canopen_device.running.store import FileStore
 from docs.runner import Terminal
 from sources.iio_tree import Tree

@@ -12,7 +12,7 @@ from can.interfaces.virtual import VirtualBus
 
 from canopen_device.core.node import Device
 from canopen_device.running import loop
-from canopen_device.running.ports import PythonCanPort
+from canopen_device.running.open_bus import PythonCanPort
 from canopen_device.running.store import FileStore
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node

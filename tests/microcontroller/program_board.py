@@ -11,7 +11,7 @@ from canopen_device.core.node import Device
 from canopen_device.core.sdo_client import BlockDownload, Download, Transfer
 from canopen_device.running import loop
 from canopen_device.running.loop import Port
-from canopen_device.running.ports import PythonCanPort
+from canopen_device.running.open_bus import PythonCanPort
 from canopen_device.testing import Conversation, Fault, intact
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import bus_flags, common
-from tipforce_tools.page.guard import add_page_arguments, page_guard
+from tipforce_tools.page.guard import page_guard
 
 if TYPE_CHECKING:
     from tipforce_tools.page.sources import Source
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = "start, seconds from its beginning"
     group.add_argument("--from", dest="start_s", type=float, default=0.0, metavar="S", help=what)
     group.add_argument("--to", dest="end_s", type=float, metavar="S", help="end, likewise")
-    add_page_arguments(parser).add_argument("--allow-writes", action="store_true", help="allow the page to tare")
+    common.add_page_arguments(parser).add_argument("--allow-writes", action="store_true", help="allow the page to tare")
     bus_flags.add_bus_arguments(parser)
 
 

@@ -39,11 +39,8 @@ class Emcy(Timed):
         od.writers[communication.COB_ID_EMCY] = self._write_cob_id
 
     def reset(self, whole: bool) -> None:
-        """Discard queued messages and each active error whose monitor restarts with this reset: not those of the
-        controller, after a communication reset also not the application's.
-
-        The history stays until power-off or a 0 in 1003h:0.
-        """
+        """Discard queued messages and the active errors whose monitors restart with this reset: not the controller's,
+        and after a communication reset not the application's. The history stays until power-off or 0 in 1003h:0."""
         lowest = CAN_OVERRUN if whole else 0
         self._active = {key: bits for key, bits in self._active.items() if lowest <= key[0] <= ERROR_PASSIVE}
         self._waiting: "list[bytes]" = []

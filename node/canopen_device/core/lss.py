@@ -3,12 +3,12 @@
 import struct
 
 from . import codes, communication
+from .storage import LSS_GROUP
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from .node import Device
 
-GROUP = "lss"  # group name of the stored node-id and bit rate in ``save`` and ``load``
 BIT_RATES = {0: 1000000, 1: 800000, 2: 500000, 3: 250000, 4: 125000, 6: 50000, 7: 20000, 8: 10000}  # table 0
 DEFAULT_BIT_RATE_INDEX = 0
 _STORED = "<BB"
@@ -22,7 +22,6 @@ class LssSlave:
     def __init__(self, device: "Device") -> None:
         self._device = device
         self.pending_node_id = device.node_id
-        self.supported = True  # an EDS may say otherwise
         self._bit_rate_index = DEFAULT_BIT_RATE_INDEX
         self._configuring = False
         self._matched = self._identified = self._position = 0
@@ -103,7 +102,7 @@ class LssSlave:
         elif service == codes.LSS_STORE:
             content = struct.pack(_STORED, self.pending_node_id, self._bit_rate_index)
             error = _STORE_FAILED if self._device.storage.available else _STORE_UNSUPPORTED
-            self._answer(service, error if self._device.storage.save_blob(GROUP, content) else _OK)
+            self._answer(service, error if self._device.storage.save_blob(LSS_GROUP, content) else _OK)
         elif codes.LSS_INQUIRE_FIRST <= service < codes.LSS_INQUIRE_NODE_ID:
             self._answer(service, self._identity(service - codes.LSS_INQUIRE_FIRST))
         elif service == codes.LSS_INQUIRE_NODE_ID:

@@ -1,17 +1,18 @@
 """A CANopen device as a pure state machine (CiA 301): frames and time in, frames and the next due time out."""
 
-from . import codes, communication, lss
+from . import codes, communication
 from .emcy import BusFaults, Emcy
 from .error_control import HeartbeatConsumer, HeartbeatProducer, NodeGuarding
 from .pdo import ReceivePdos, TransmitPdos
 from .sdo_server import SdoServer
-from .storage import COMMUNICATION, Storage, WearBudget
+from .storage import COMMUNICATION, LSS_GROUP, Storage, WearBudget
 from .sync import SyncConsumer, TimeConsumer
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+    from .lss import LssSlave
     from .object_dictionary import ObjectDictionary
 
     Frame = tuple[int, bytes]
@@ -122,7 +123,8 @@ class Device:
         self.guarding = NodeGuarding(self)
         self.sdo = SdoServer(self)
         self.time = TimeConsumer(self)
-        self.lss = lss.LssSlave(self)
+        self.has_lss = True  # an EDS may say otherwise
+        self._lss: "LssSlave | None" = None
         self.sync = SyncConsumer(self)
         self.rpdos = ReceivePdos(self)
         self.tpdos = TransmitPdos(self)
@@ -137,6 +139,15 @@ class Device:
             self.sync_producer = SyncProducer(self)
             self._timed += (self.sync_producer,)  # type: ignore[assignment]
 
+    @property
+    def lss(self) -> "LssSlave":
+        """The LSS slave: loaded by the first request, a stored node-id or bit rate."""
+        if self._lss is None:
+            from .lss import LssSlave
+
+            self._lss = LssSlave(self)
+        return self._lss
+
     def step(self, now_us: int, frames: "Iterable[Frame]" = ()) -> "tuple[list[Frame], int]":
         """Process ``frames``, (SocketCAN can_id, data); return the frames to send and the next due time."""
         now_us += self._ahead_us
@@ -146,7 +157,9 @@ class Device:
         self.now_us = now_us
         if not self._booted:
             self._booted = True
-            self.lss.restore(self.storage.read_blob(lss.GROUP))
+            stored = self.storage.read_blob(LSS_GROUP)
+            if stored:
+                self.lss.restore(stored)
             self._restart(True)
         for can_id, data in frames:
             # 29-bit and remote frames have flags above bit 28: only guarding has a route with a flag.
@@ -245,14 +258,18 @@ class Device:
                 routes[self.sync.cob_id] = self.sync.receive
                 routes[codes.SDO_REQUEST_BASE + self.node_id] = self.sdo.receive
             routes[codes.NMT_COB_ID] = self.nmt.receive
-        if self.lss.supported:
-            routes[codes.LSS_REQUEST_COB_ID] = self.lss.receive
+        if self.has_lss:
+            routes[codes.LSS_REQUEST_COB_ID] = self._lss_request
         self._routes = routes
+
+    def _lss_request(self, data: bytes) -> None:
+        self.lss.receive(data)
 
     def _restart(self, whole: bool) -> None:
         self.nmt.state = codes.INITIALISING
-        self.node_id = self.od.node_id = self.lss.pending_node_id
-        self.lss.leave()
+        if self._lss is not None:
+            self.node_id = self.od.node_id = self._lss.pending_node_id
+            self._lss.leave()
         self.emcy.reset(whole)
         self.storage.restore(None if whole else [COMMUNICATION])
         self.heartbeat_consumer.forget()

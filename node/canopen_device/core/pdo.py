@@ -238,10 +238,8 @@ class TransmitPdo(Pdo):
     def load(self) -> None:
         """Compile the parameters, resolve the source of each mapped value, and restart the counters."""
         Pdo.load(self)
-        if (
-            codes.LAST_SYNCHRONOUS < self.transmission < codes.EVENT_DRIVEN
-        ):  # reserved or on RTR; only an EDS can have it
-            self.active = False
+        if codes.LAST_SYNCHRONOUS < self.transmission < codes.EVENT_DRIVEN:
+            self.active = False  # reserved, or sent on RTR: only an EDS can have it
         self.pack = self._od.packer(self.keys) or self._packer()
         self.inhibit_us = 100 * self._od.integer(self.communication, 3)
         self.event_us = 1000 * self._od.integer(self.communication, 5)
@@ -377,5 +375,4 @@ class TransmitPdos(Timed):
         self._reschedule()
 
     def _reschedule(self) -> None:
-        due = [pdo.due_us for pdo in self._pdos if self._is_timed(pdo)]
-        self.due_us = min(due) if due else codes.NEVER_US
+        self.due_us = min([pdo.due_us for pdo in self._pdos if self._is_timed(pdo)], default=codes.NEVER_US)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 ALL, COMMUNICATION, APPLICATION = 1, 2, 3  # sub-indices; an application adds groups from 4 on
 _COMMUNICATION_NAME = "communication"
+LSS_GROUP = "lss"  # of the stored node-id and bit rate: none of 1010h
 _HEAD = "<HBH"
 _RESTORED = b""  # stored after a restore: empty, so the defaults apply after the next reset
 

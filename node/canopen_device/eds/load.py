@@ -75,7 +75,7 @@ def device_of(description: Description, save: Save | None = None, load: Load | N
     device.storage.add_range(MANUFACTURER, *_GROUPS[2])
     for index in (communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS):
         device.od.readers[index] = _capability(description, index, device.od.readers[index])
-    device.lss.supported = description.lss
+    device.has_lss = description.lss
     device.sdo.max_download_bytes = _LONGEST_DOWNLOAD_BYTES
     if description.bit_rate is not None:
         device.lss.bit_rate = description.bit_rate

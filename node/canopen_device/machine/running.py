@@ -22,8 +22,8 @@ from canopen_device.machine.device import DeviceApplication, Key, SimulatedDevic
 from canopen_device.machine.signals import Signal
 from canopen_device.paths_below import below
 from canopen_device.running import loop
-from canopen_device.running.ports import PythonCanPort
-from canopen_device.running.store import FileStore, MemoryStore
+from canopen_device.running.open_bus import PythonCanPort
+from canopen_device.running.store import FileStore
 from canopen_device.types import Value
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def made_device(
         application = load_application(application or (CIA402 if shipped else ""), folder)
     for slot in (f"{store}.2", store) if store else ():
         path_of(folder, slot, "store")
-    kept = FileStore(path_of(folder, store, "store")) if store else MemoryStore()
+    kept = FileStore(path_of(folder, store, "store")) if store else loop.MemoryStore()
     device = SimulatedDevice(description, application, signals, kept.save, kept.load)
     for key, given in (values or {}).items():
         device.initial_values[key] = device[key] = typed_value(description.find(key), given)

@@ -1,4 +1,5 @@
-"""Run devices on a bus: pass received frames and the time in, send the frames that come out. One thread, many nodes."""
+"""Run devices on a bus: pass received frames and the time in, send the frames that come out. One thread, many nodes.
+And a store for devices that need none on disk."""
 
 import logging
 import threading
@@ -102,3 +103,21 @@ def say_stopped(devices: Sequence[Device], port: Port) -> None:
         if device.node_id != codes.LSS_UNCONFIGURED:
             device.nmt.enter(codes.STOPPED)
             port.send([(codes.HEARTBEAT_BASE + device.node_id, bytes((codes.STOPPED,)))])
+
+
+class MemoryStore:
+    """Parameter groups in memory: ``save`` and ``load`` of a ``Device``. ``refuses`` makes it a broken store."""
+
+    def __init__(self) -> None:
+        self.groups: dict[str, bytes] = {}
+        self.refuses = False
+
+    def save(self, group: str, data: bytes) -> bool:
+        """Keep a group; return whether it is kept."""
+        if not self.refuses:
+            self.groups[group] = data
+        return not self.refuses
+
+    def load(self, group: str) -> bytes | None:
+        """Return what was kept."""
+        return self.groups.get(group)

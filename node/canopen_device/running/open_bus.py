@@ -1,12 +1,22 @@
-"""Open a bus of python-can, with errors that say what to do."""
+"""A bus of python-can: open it, with errors that say what to do, and the port of devices on it."""
 
-from collections.abc import Mapping
-from typing import Any
+from __future__ import annotations
 
-import can
+import logging
+import time
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
 
+from canopen_device.can_frame import raw_can_id
 from canopen_device.errors import EnvironmentLackError, InputError
 
+if TYPE_CHECKING:
+    import can  # slow to import: imported where a bus is used
+
+    from canopen_device.running.loop import Frame
+
+_LOG = logging.getLogger(__name__)
+_AFTER_ERROR_S = 0.05
 _UNNAMED = "name an interface and a channel, or set CAN_INTERFACE and CAN_CHANNEL"
 _FAILED = "`ip -br link` lists the interfaces of this machine"
 
@@ -17,6 +27,8 @@ def open_bus(options: Mapping[str, Any], unnamed: str = _UNNAMED, failed: str = 
     ``unnamed`` and ``failed`` say what to do without a name and without success. Raises EnvironmentLackError with them,
     and InputError for a channel that pyserial's spy:// would record: the name of a log or a hand names a file.
     """
+    import can
+
     given = {key: value for key, value in options.items() if value is not None}
     if str(given.get("channel", "")).lower().startswith("spy:"):
         raise InputError(f"channel {given['channel']}: it writes a file; name the port without spy://")
@@ -36,3 +48,53 @@ def open_bus(options: Mapping[str, Any], unnamed: str = _UNNAMED, failed: str = 
             raise EnvironmentLackError(f"{interface} needs pyserial: pip install pyserial") from None
         channel = given.get("channel", "(default)")
         raise EnvironmentLackError(f"interface {interface}, channel {channel}: {error}; {failed}") from None
+
+
+class PythonCanPort:
+    """Any python-can bus. The port retries a bus that fails; it logs this once, until a frame passes again."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self._bus = bus
+        self._failing = False
+
+    def receive(self, timeout_s: float) -> Frame | None:
+        """Return the next classic frame, or None."""
+        import can
+
+        try:
+            message = self._bus.recv(timeout_s)
+        except can.CanError as error:
+            self._fail("receive failed", error)
+            time.sleep(_AFTER_ERROR_S)
+            return None
+        if message is None or message.is_fd:
+            return None
+        self._failing = False
+        return raw_can_id(message), bytes(message.data)
+
+    def send(self, frames: Iterable[Frame]) -> None:
+        """Send frames; drop one that the bus rejects."""
+        import can
+
+        for can_id, data in frames:
+            try:
+                self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+                self._failing = False
+            except can.CanError as error:
+                self._fail("a frame was not sent", error)
+
+    def request(self, what: str, value: int, delay_ms: int) -> None:
+        """Log the request: python-can has no call for it on every interface."""
+        if what == "bit-rate":
+            _LOG.warning("LSS requests %d bit/s after %d ms: restart the node with -b %d", value, delay_ms, value)
+        elif what == "bus-restart":
+            _LOG.warning("the controller is bus-off: restart it, or enable the restart in its driver")
+
+    def close(self) -> None:
+        """Close the bus."""
+        self._bus.shutdown()
+
+    def _fail(self, what: str, error: can.CanError) -> None:
+        if not self._failing:
+            self._failing = True
+            _LOG.warning("%s: %s; the node continues when the bus works again", what, error)

@@ -1,4 +1,4 @@
-"""Ports of the loop to a bus: a raw SocketCAN socket, and any python-can bus."""
+"""The port of the loop to SocketCAN: a raw socket."""
 
 from __future__ import annotations
 
@@ -12,13 +12,11 @@ import time
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from canopen_device.can_frame import CAN_FRAME, raw_can_id
+from canopen_device.can_frame import CAN_FRAME
 from canopen_device.core import codes
 from canopen_device.core.emcy import TRANSMIT_OVERFLOW
 
 if TYPE_CHECKING:
-    import can
-
     from canopen_device.running.loop import Frame
 
 _LOG = logging.getLogger(__name__)
@@ -157,53 +155,3 @@ def _run(command: list[str], remedy: str) -> None:
         complaint = str(error)
     if complaint:
         _LOG.warning("%s: %s; %s", " ".join(command), complaint, remedy)
-
-
-class PythonCanPort:
-    """Any python-can bus. The port retries a bus that fails; it logs this once, until a frame passes again."""
-
-    def __init__(self, bus: can.BusABC) -> None:
-        self._bus = bus
-        self._failing = False
-
-    def receive(self, timeout_s: float) -> Frame | None:
-        """Return the next classic frame, or None."""
-        import can  # python-can is slow to import; SocketCanPort does not need it
-
-        try:
-            message = self._bus.recv(timeout_s)
-        except can.CanError as error:
-            self._fail("receive failed", error)
-            time.sleep(_FULL_QUEUE_WAIT_S)
-            return None
-        if message is None or message.is_fd:
-            return None
-        self._failing = False
-        return raw_can_id(message), bytes(message.data)
-
-    def send(self, frames: Iterable[Frame]) -> None:
-        """Send frames; drop one that the bus rejects."""
-        import can
-
-        for can_id, data in frames:
-            try:
-                self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
-                self._failing = False
-            except can.CanError as error:
-                self._fail("a frame was not sent", error)
-
-    def request(self, what: str, value: int, delay_ms: int) -> None:
-        """Log the request: python-can has no call for it on every interface."""
-        if what == "bit-rate":
-            _LOG.warning("LSS requests %d bit/s after %d ms: restart the node with -b %d", value, delay_ms, value)
-        elif what == "bus-restart":
-            _LOG.warning("the controller is bus-off: restart it, or enable the restart in its driver")
-
-    def close(self) -> None:
-        """Close the bus."""
-        self._bus.shutdown()
-
-    def _fail(self, what: str, error: can.CanError) -> None:
-        if not self._failing:
-            self._failing = True
-            _LOG.warning("%s: %s; the node continues when the bus works again", what, error)

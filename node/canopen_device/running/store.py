@@ -14,24 +14,6 @@ _LOG = logging.getLogger(__name__)
 _DAMAGED = b"\0"  # too short for a CRC: the device core reports the group as damaged
 
 
-class MemoryStore:
-    """Parameter groups in memory: ``save`` and ``load`` of a ``Device``. ``refuses`` makes it a broken store."""
-
-    def __init__(self) -> None:
-        self.groups: dict[str, bytes] = {}
-        self.refuses = False
-
-    def save(self, group: str, data: bytes) -> bool:
-        """Keep a group; return whether it is kept."""
-        if not self.refuses:
-            self.groups[group] = data
-        return not self.refuses
-
-    def load(self, group: str) -> bytes | None:
-        """Return what was kept."""
-        return self.groups.get(group)
-
-
 class _Slot(NamedTuple):
     """The content of a file. ``sound``: the CRC is correct; otherwise ``groups`` holds what can still be read."""
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from canopen_device.core import codes, communication
 from canopen_device.core.node import Device
-from canopen_device.running.store import MemoryStore
+from canopen_device.running.loop import MemoryStore
 from tipforce.dictionary import indices, table
 from tipforce.errors import InputError
 from tipforce.fingertip.calibration import CALIBRATION_GROUP

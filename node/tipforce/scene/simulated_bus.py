@@ -13,8 +13,8 @@ import numpy as np
 from canopen_device.core import codes
 from canopen_device.core.node import Device
 from canopen_device.running import loop
-from canopen_device.running.ports import PythonCanPort
-from canopen_device.running.store import MemoryStore
+from canopen_device.running.loop import MemoryStore
+from canopen_device.running.open_bus import PythonCanPort
 from tipforce.arrays import floats
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node

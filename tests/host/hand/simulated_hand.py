@@ -16,7 +16,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import can
-import canopen
 import numpy as np
 import pytest
 
@@ -31,7 +30,7 @@ from tipforce.host.hand import hand as hand_module
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
-from tipforce.host.network.bus import Bus, Heartbeats
+from tipforce.host.network.bus import Bus, Dispatcher, Heartbeats
 from tipforce.host.network.lss import LssMaster
 from tipforce.host.network.sdo import Exchange, Request, SdoChannel
 from tipforce.samples.reasons import PRESENT
@@ -178,7 +177,7 @@ class Connection(Bus):
 
         self._line, self._sdo = line, dict[int, Channel]()
         self._lock, self._fingers = threading.Lock(), {}
-        self.network = canopen.Network(SimpleNamespace(send=send))  # type: ignore[arg-type]
+        self.dispatcher = Dispatcher(SimpleNamespace(send=send))  # type: ignore[arg-type]
         self.heartbeats, self.duplicates = Heartbeats(), DuplicateNodes()
         self.heartbeats._arrived.wait = self._let_time_pass  # type: ignore[method-assign, assignment]
         line.ears.append(self._hear)
@@ -188,13 +187,13 @@ class Connection(Bus):
         return True
 
     def _hear(self, can_id: int, data: bytes) -> None:
-        self.network.notify(can_id, bytearray(data), 0.0)
+        self.dispatcher.notify(can_id, bytearray(data), 0.0)
         if can_id > 0x700:
             self.heartbeats.on_message_received(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
     def sdo(self, node_id: int) -> SdoChannel:
         if node_id not in self._sdo:
-            self._sdo[node_id] = Channel(self._line, self.network, node_id)
+            self._sdo[node_id] = Channel(self._line, self.dispatcher, node_id)
         return self._sdo[node_id]
 
     def close(self) -> None:

@@ -20,8 +20,9 @@ from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
 from tipforce.host.frames.frame_array import FrameBuffer, frame_array
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.find import FoundNode, find_nodes
+from tipforce.host.network.finger import Identity
 from tipforce.host.network.interfaces import open_bus
-from tipforce.host.network.lss import LssAddress, LssMaster
+from tipforce.host.network.lss import LssMaster
 
 
 def test_what_is_not_allowed_is_named() -> None:
@@ -123,13 +124,13 @@ def test_other_traffic_neither_extends_the_wait_nor_is_kept() -> None:
 
         def flood() -> None:
             while not stopped.wait(0.001):
-                connection.network.notify(codes.LSS_RESPONSE_COB_ID, bytearray(OTHER), 0.0)
+                connection.dispatcher.notify(codes.LSS_RESPONSE_COB_ID, bytearray(OTHER), 0.0)
 
         thread = threading.Thread(target=flood)
         thread.start()
         try:
             assert not lss.any_unconfigured()
-            assert not lss.select(LssAddress(1, 2, 3, 4))
+            assert not lss.select(Identity(1, 2, 3, 4))
         finally:
             stopped.set()
             thread.join()
@@ -139,8 +140,8 @@ def test_a_response_among_other_frames_is_found() -> None:
     with connected(finger(5)) as (connection, _), LssMaster(connection) as lss:
         serial = connection.sdo(5)["identity.serial"]
         found = [connection.sdo(5)[f"identity.{part}"] for part in ("vendor", "product", "revision")]
-        connection.network.notify(codes.LSS_RESPONSE_COB_ID, bytearray(OTHER), 0.0)
-        assert lss.select(LssAddress(*(int(part) for part in (*found, serial))))
+        connection.dispatcher.notify(codes.LSS_RESPONSE_COB_ID, bytearray(OTHER), 0.0)
+        assert lss.select(Identity(*(int(part) for part in (*found, serial))))
         assert lss.node_id() == 5
 
 
@@ -273,6 +274,6 @@ def test_a_dead_bus_is_an_error(connection: Bus, monkeypatch: pytest.MonkeyPatch
     def refuse(*_: object) -> None:
         raise can.CanOperationError("network is down")
 
-    monkeypatch.setattr(connection.network, "send_message", refuse)
+    monkeypatch.setattr(connection.dispatcher, "send_message", refuse)
     with pytest.raises(EnvironmentLackError, match="network is down"):
         find_nodes(connection, [5], WAIT_S)

@@ -14,12 +14,7 @@ from canopen_device.can_frame import least_bits, most_bits
 from host.bus_with_nodes import new_channel
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import frame_array
-from tipforce.host.network.bus_load import (
-    LoadMeter,
-    hand_budget,
-    highest_rate_hz,
-    range_of_bits,
-)
+from tipforce.host.network.bus_load import LoadMeter, hand_budget, highest_rate_hz, range_of_bits
 from tipforce.host.network.faulty_bus import Babbler, Faults, FaultyBus, Injector, RawFrame, quiet
 
 FRAMES: list[RawFrame] = [(0x181 + k % 5, k.to_bytes(4, "little")) for k in range(4000)]

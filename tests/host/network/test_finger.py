@@ -9,14 +9,7 @@ import can
 import numpy as np
 import pytest
 
-from host.bus_with_nodes import (
-    ROUNDING_STRAIN2,
-    FaultyBus,
-    apply_load,
-    beam_calibration,
-    connected,
-    finger,
-)
+from host.bus_with_nodes import ROUNDING_STRAIN2, FaultyBus, apply_load, beam_calibration, connected, finger
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.errors import InputError, RefusedError, SdoAbortError

@@ -15,7 +15,8 @@ from canopen_device.core import codes
 from host.bus_with_nodes import FaultyBus, connected, finger
 from host.virtual_time import DelayedBus, run
 from tipforce.dictionary import objects as od
-from tipforce.dictionary.entries import Entry, resolve
+from tipforce.dictionary.entries import Entry
+from tipforce.dictionary.names import resolve
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError, SdoAbortError
 from tipforce.host.configuration.configuration_file import (
     Configuration,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from canopen_device.core import codes
 from canopen_device.running.loop import say_stopped
-from canopen_device.running.ports import PythonCanPort
+from canopen_device.running.open_bus import PythonCanPort
 from tipforce.errors import InputError
 from tipforce_robots.mujoco.twin import Fingertips
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from canopen_device.core.node import Device
-from canopen_device.running.store import MemoryStore
+from canopen_device.running.loop import MemoryStore
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.fingertip.node import Fingertip, fingertip_node
 from tipforce.host.configuration.calibration import Calibration

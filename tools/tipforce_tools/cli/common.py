@@ -300,6 +300,17 @@ def add_eds_argument(parser: argparse.ArgumentParser | argparse._ArgumentGroup) 
     parser.add_argument("--eds", action="append", metavar="ID=FILE", help="EDS, DCF or XDD of a node; repeatable")
 
 
+def add_page_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
+    """Add the flags of the page's server; return their group."""
+    group = parser.add_argument_group("page")
+    port, host = "default %(default)s; 0: any free port", "address to serve on, default loopback; others need --token"
+    group.add_argument("--port", type=int, default=8404, metavar="N", help=port)
+    group.add_argument("--host", default="", metavar="ADDRESS", help=host)
+    group.add_argument("--token", metavar="TOKEN|auto", help="required to open the page; auto generates one")
+    group.add_argument("--open", action="store_true", help="open the page in the browser")
+    return group
+
+
 def add_choice_arguments(parser: argparse.ArgumentParser, signals: str) -> None:
     """Add the flags that choose rows and columns of logs, and the PDOs; ``signals`` is the help of --signals."""
     group = parser.add_argument_group("choice")

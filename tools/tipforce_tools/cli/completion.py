@@ -135,7 +135,7 @@ def value_of(action: argparse.Action) -> Value:
         elif part.partition("[")[0] == "CHANNEL":
             sources[CAN] = None
         elif part == "OBJECT":
-            from tipforce.dictionary.entries import all_names
+            from tipforce.dictionary.names import all_names
 
             words += all_names()
         elif len(alternatives) > 1 and part != "NAME" and _WORD.fullmatch(part):

@@ -7,7 +7,6 @@ import time
 from typing import TYPE_CHECKING
 
 from tipforce_tools.cli import common
-from tipforce_tools.page.guard import add_page_arguments, page_guard
 
 if TYPE_CHECKING:
     from tipforce_tools.demo.job import Result
@@ -22,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     shown = parser.add_mutually_exclusive_group()
     shown.add_argument("--table", action="store_true", help="print each load: true, estimated, error, uncertainty")
     shown.add_argument("--view", action="store_true", help="instead, serve a web page with a moving simulated hand")
-    add_page_arguments(parser)
+    common.add_page_arguments(parser)
     common.add_output_arguments(parser)
 
 
@@ -31,6 +30,7 @@ def run(args: argparse.Namespace) -> int:
     if args.view:  # the scene of a hand, in a loop. Its time is simulated: no row is missing
         from tipforce.shipped_files import file_or_shipped
         from tipforce.watching.feeds import finger_maker
+        from tipforce_tools.page.guard import page_guard
         from tipforce_tools.page.server import serve_page
         from tipforce_tools.page.sources import scene_source
 

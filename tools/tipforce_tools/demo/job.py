@@ -14,22 +14,21 @@ import numpy as np
 from canopen_device.core import codes
 from canopen_device.core.node import Device
 from canopen_device.running import loop
-from canopen_device.running.ports import PythonCanPort
-from canopen_device.running.store import MemoryStore
+from canopen_device.running.loop import MemoryStore
+from canopen_device.running.open_bus import PythonCanPort
 from tipforce.arrays import FloatArray
 from tipforce.dictionary import objects as od
-from tipforce.dictionary.signals import Message, tpdo_messages
+from tipforce.dictionary.table import UNKNOWN_I16
 from tipforce.errors import RefusedError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.network.bus import Bus
-from tipforce.scene.delivered import structure_calibration
 from tipforce.sensor.contact import estimate as contact_model
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.layouts import CASES, layout
+from tipforce.sensor.structure.layouts import CASES, layout_code
 from tipforce.sensor.structure.published import GROOVES_DEG
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 
 WEIGHT_NEWTONS = 4.4
@@ -73,9 +72,11 @@ class Result:
 
 def case_calibration(case: str, pull: bool) -> Calibration:
     """Return the calibration of one gauge case by beam theory, with the simulated gauges' offset and noise."""
-    return structure_calibration(
-        FABRICATED, layout(case), NOISE_MICROSTRAIN, COUNT_MICROSTRAIN, OFFSETS_MICROSTRAIN,
-        serial=CASES.index(case) + 1, date=int(f"{datetime.date.today():%Y%m%d}"), pull=pull,
+    variance = NOISE_MICROSTRAIN**2 + COUNT_MICROSTRAIN**2 / 12.0  # rounding to counts is noise
+    return Calibration(
+        calibration_matrix(FABRICATED, case), 1e-6 * np.array(OFFSETS_MICROSTRAIN), 1e-12 * variance * np.eye(3),
+        serial=CASES.index(case) + 1, date=int(f"{datetime.date.today():%Y%m%d}"), layout_code=layout_code(case),
+        tip_radius_m=FABRICATED.r_m, pull=pull,
     )  # fmt: skip
 
 
@@ -166,26 +167,22 @@ def _one_load(connection: Bus, calibrations: dict[int, Calibration], applied: Fl
     time.sleep(0.002)  # a conversion under the new load
     connection.buffer.clear()
     connection.sync()
-    gauges, contact = (next(pdo for pdo in tpdo_messages() if pdo.name == name) for name in ("Gauges", "Contact"))
-    frames = connection.wait_for({pdo.cob_id_base + node_id for pdo in (gauges, contact) for node_id in calibrations})
+    gauges, contact = codes.TPDO_BASES[:2]
+    frames = connection.wait_for({base + node_id for base in (gauges, contact) for node_id in calibrations})
     data = {int(frame["can_id"]): bytes(frame["data"]) for frame in frames}
     for node_id, calibration in calibrations.items():
-        strain = 1e-6 * _quantities(gauges, data[gauges.cob_id_base + node_id])
-        estimated = _quantities(contact, data[contact.cob_id_base + node_id])
-        F = contact_model.force_from_strain(calibration.C, strain, calibration.offset_strain)
-        own = contact_model.contacts(F, pull=calibration.pull)
+        strain = 1e-6 * _quantities(data[gauges + node_id], COUNT_MICROSTRAIN)
+        estimated = _quantities(data[contact + node_id], 2.0 * HALF_STEP)
+        _, own = contact_model.estimate(calibration.C, strain, calibration.offset_strain, pull=calibration.pull)
         host = np.array([own.P_newtons, np.degrees(own.phi_rad), np.degrees(own.theta_rad)], dtype=np.float64)
         u, bound, host_bound = bounds(calibration, applied, z)
         sense = "pull" if calibration.pull else "push"
         yield Result(CASES[node_id - 1], sense, applied, estimated, host.ravel(), u, bound, host_bound)
 
 
-def _quantities(pdo: Message, data: bytes) -> FloatArray:
-    values = []
-    for signal in pdo.signals[:3]:
-        raw = int.from_bytes(data[signal.start_bit // 8 :][: signal.bits // 8], "little", signed=signal.signed)
-        values.append(np.nan if raw == signal.unknown else raw * signal.scale)
-    return np.array(values)
+def _quantities(data: bytes, step: float | FloatArray) -> FloatArray:
+    raw = np.frombuffer(data, "<i2", 3)
+    return np.where(raw == UNKNOWN_I16, np.nan, raw * step)
 
 
 def _difference(a: FloatArray, b: FloatArray) -> FloatArray:

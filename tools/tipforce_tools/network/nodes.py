@@ -17,8 +17,9 @@ from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.actions import add_choice
 
 if TYPE_CHECKING:
+    from tipforce.host.network.finger import Identity
     from tipforce.host.network.firmware import NodeProgram
-    from tipforce.host.network.lss import LssAddress, LssMaster
+    from tipforce.host.network.lss import LssMaster
 
 _CONTACT = (
     "node_id", "t_s", "counter", "P_newtons", "phi_deg", "theta_deg", "u_P_newtons", "u_phi_deg", "u_theta_deg",
@@ -170,7 +171,7 @@ def add_nmt_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_nmt(args: argparse.Namespace) -> int:
     """Send the command; with --wait print the states. Raises NoResponseError after printing those that are reached."""
-    from tipforce.host.network.bus import NotReachedError, command_and_wait
+    from tipforce.host.network.find import NotReachedError, command_and_wait
 
     if args.wait is not None and not args.ids:
         raise InputError("nmt all --wait: needs node-ids, for example 1-5")
@@ -216,7 +217,8 @@ def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_lss(args: argparse.Namespace) -> int:
     """Run the action; return 0, or 5 if no node responded. Raises RefusedError if a node refuses."""
-    from tipforce.host.network.lss import LssAddress, LssMaster
+    from tipforce.host.network.finger import Identity
+    from tipforce.host.network.lss import LssMaster
 
     if args.action == "assign" and not args.ids:
         raise InputError("lss assign: IDS missing; for example tipforce lss assign 1-5 --store")
@@ -234,7 +236,7 @@ def run_lss(args: argparse.Namespace) -> int:
             _configure_found(master, args.ids, store=args.store)
         else:
             revision = table.REVISION if args.revision is None else args.revision
-            address = LssAddress(args.vendor, args.product, revision, args.serial)
+            address = Identity(args.vendor, args.product, revision, args.serial)
             _configure_addressed(master, address, args.ids[0] if args.action == "assign" else None, args.store)
     return 0
 
@@ -256,7 +258,7 @@ def _configure_found(master: LssMaster, node_ids: Sequence[int | None], *, store
         master.release()
 
 
-def _configure_addressed(master: LssMaster, address: LssAddress, node_id: int | None, store: bool) -> None:
+def _configure_addressed(master: LssMaster, address: Identity, node_id: int | None, store: bool) -> None:
     """Give the node with this address another node-id; without one store the one that it has."""
     if not master.select(address):
         raise NoResponseError(f"no node with {address} responded; `tipforce scan --json` shows the nodes' identities")
@@ -270,7 +272,7 @@ def _configure_addressed(master: LssMaster, address: LssAddress, node_id: int | 
         common.note(f"node-id {common.shown_id(before)} remains active until: tipforce nmt reset-comm {before}")
 
 
-def _print_lss(address: LssAddress, node_id: int | None, stored: bool) -> None:
+def _print_lss(address: Identity, node_id: int | None, stored: bool) -> None:
     given = "" if node_id is None else f": node-id {common.shown_id(node_id)}{', stored' if stored else ''}"
     common.print_record({**asdict(address), "node_id": node_id, "stored": stored}, f"{address}{given}")
 

@@ -20,7 +20,6 @@ Refusal = tuple[HTTPStatus, str]
 LOOPBACK_NAMES = ("127.0.0.1", "[::1]", "localhost")
 COOKIE = "tipforce_access"
 LEAST_TOKEN = 16
-DEFAULT_PORT = 8404
 
 CONTENT_SECURITY_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data: blob:; "
@@ -102,17 +101,6 @@ def host_names(host: str) -> tuple[str, ...]:
             f"--host {host}: pass the address or host name that browsers will use, so that Host can be checked"
         )
     return tuple(dict.fromkeys((shown, *LOOPBACK_NAMES))) if is_loopback(host) else (shown,)
-
-
-def add_page_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
-    """Add the flags of the page's server; return their group."""
-    group = parser.add_argument_group("page")
-    port, host = "default %(default)s; 0: any free port", "address to serve on, default loopback; others need --token"
-    group.add_argument("--port", type=int, default=DEFAULT_PORT, metavar="N", help=port)
-    group.add_argument("--host", default="", metavar="ADDRESS", help=host)
-    group.add_argument("--token", metavar="TOKEN|auto", help="required to open the page; auto generates one")
-    group.add_argument("--open", action="store_true", help="open the page in the browser")
-    return group
 
 
 def page_guard(args: argparse.Namespace) -> Guard:

@@ -275,12 +275,8 @@ RECORD = tuple(
 
 
 def read_calibration(path: str | Path, with_fit: bool = False) -> Calibration:
-    """A calibration file.
-
-    Raises InputError naming the place and what is allowed. A ``crc32`` in the file must be that of the record: a number
-    edited by hand is noticed. Take the line out to accept the edit. ``with_fit``: with the ``parameter_covariance`` of
-    its [fit] table, where it has one.
-    """
+    """A calibration file, ``with_fit`` with the ``parameter_covariance`` of its [fit]. Raises InputError naming the
+    place and what is allowed, also where a ``crc32`` is not the record's: the file was edited; take that line out."""
     from tipforce.host.configuration.calibration_file import read_file
 
     values, crc32, fit = read_file(path, fields(Calibration))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from canopen_device.core import codes, communication
 from canopen_device.types import Value
-from tipforce.dictionary import entries, table
+from tipforce.dictionary import entries, names, table
 from tipforce.dictionary.entries import Entry
 from tipforce.errors import InputError
 
@@ -46,7 +46,7 @@ class FingertipObjects:
 
     def resolve(self, text: str) -> Entry[Value]:
         """The entry that a person names, as ``dictionary.entries``. Raises InputError."""
-        return entries.resolve(text, self._gauges)
+        return names.resolve(text, self._gauges)
 
     def name(self, index: int, sub: int) -> str | None:
         """The dotted name, which ``resolve`` reads; None for an entry without one."""

@@ -19,10 +19,10 @@ from tipforce.host.decoding.duplicates import of_product
 from tipforce.host.hand.events import Event, Kind
 from tipforce.host.hand.file import FingerPlan, HandFile
 from tipforce.host.hand.meaning import set_overflow
-from tipforce.host.network.bus import Bus, command_and_wait
-from tipforce.host.network.find import FIND_S, responding_nodes
-from tipforce.host.network.finger import Finger
-from tipforce.host.network.lss import LssAddress, LssMaster
+from tipforce.host.network.bus import Bus
+from tipforce.host.network.find import FIND_S, command_and_wait, responding_nodes
+from tipforce.host.network.finger import Finger, Identity
+from tipforce.host.network.lss import LssMaster
 from tipforce.host.network.sdo import SdoChannel
 
 STEPS = ("find", "identity", "configure", "verify", "calibrate", "start")
@@ -173,12 +173,12 @@ def _assign_one(connection: Bus, master: LssMaster, plan: FingerPlan, store: boo
     return f"{address}: node-id {plan.node_id}" + (f", before {former}" if former != codes.LSS_UNCONFIGURED else "")
 
 
-def select(master: LssMaster, plan: FingerPlan) -> LssAddress | None:
+def select(master: LssMaster, plan: FingerPlan) -> Identity | None:
     """Return the node of this serial, real or simulated; without a serial the next one without a node-id."""
     for simulated in (False, True):
         product = table.product_code(plan.gauges, simulated)
         if plan.serial:
-            address = LssAddress(0, product, table.REVISION, plan.serial)
+            address = Identity(0, product, table.REVISION, plan.serial)
             if master.select(address):
                 return address
         else:

@@ -47,16 +47,14 @@ class Link:
         connection.buffer.limit = KEPT_FRAMES
         self._frames = FrameBuffer()
         if self._socketcan is None:
-            assert self.connection.network.notifier is not None  # a Bus is connected
-            self.connection.network.notifier.add_listener(self._frames)
+            connection.notifier.add_listener(self._frames)
 
     def receive(self, timeout_s: float) -> FrameArray:
         """Return the received frames, FRAME (n,), SYNCs included. Raises EnvironmentLackError if the bus fails."""
         if self._socketcan is not None:
             return self._socketcan.receive(timeout_s)
-        notifier = self.connection.network.notifier
-        if notifier is not None and notifier.exception is not None:
-            raise EnvironmentLackError(f"the bus failed: {notifier.exception}")
+        if (exception := self.connection.notifier.exception) is not None:
+            raise EnvironmentLackError(f"the bus failed: {exception}")
         return self._frames.take_some(time.monotonic() + timeout_s)
 
     def start_sync(self, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
@@ -79,14 +77,13 @@ class Link:
 
     def close(self) -> None:
         """Close the bus, or stop listening to it."""
-        notifier = self.connection.network.notifier
         if self._socketcan is not None:
             self._socketcan.close()
         if self.owned:
             self.connection.close()
-        elif notifier is not None:
+        else:
             with suppress(ValueError):
-                notifier.remove_listener(self._frames)
+                self.connection.notifier.remove_listener(self._frames)
 
 
 def open_link(options: Mapping[str, Any]) -> Link:

@@ -20,7 +20,8 @@ from tipforce.host.hand.events import Event, Kind, Supervisor
 from tipforce.host.hand.file import HandFile
 from tipforce.host.hand.rows import Collector
 from tipforce.host.hand.trust import COUNTER
-from tipforce.host.network.bus import Bus, command_and_wait
+from tipforce.host.network.bus import Bus
+from tipforce.host.network.find import command_and_wait
 from tipforce.host.network.finger import Finger
 from tipforce.host.network.lss import LssMaster
 

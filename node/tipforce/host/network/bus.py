@@ -7,30 +7,31 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 import can
-import canopen
 
 from canopen_device.can_frame import raw_can_id
 from canopen_device.core import codes
-from tipforce.dictionary.service_texts import state_text
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
 from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
 from tipforce.host.network.sdo import DEFAULT_RETRIES, DEFAULT_TIMEOUT_S, SdoChannel, checked_time
 
 if TYPE_CHECKING:
+    import canopen
+
     from tipforce.host.network.find import FoundNode
     from tipforce.host.network.finger import Finger
 
 _SYNC_SILENT_S = 1.0
 _LONGEST_SYNC_PERIOD_S = 10.0
-_RECEIVE_CYCLE_S = 0.05  # maximum time for which close() waits for the receiver; canopen's own is a second
+_RECEIVE_CYCLE_S = 0.05  # the receiver sees the end of its thread so late
 _AFTER_ERROR_S = 0.05
-_AGAIN_S = 0.5  # an NMT command without its state
+
+Subscriber: TypeAlias = Callable[[int, bytearray, float], None]
 
 NMT_COMMANDS = {
     "start": (codes.NMT_START, codes.OPERATIONAL),
@@ -61,14 +62,10 @@ class Heartbeats(can.Listener):
             self._last[can_id & codes.NODE_ID_MASK] = time.monotonic(), msg.data[0] & 0x7F
             self._arrived.notify_all()
 
-    def on_error(self, exc: Exception) -> None:
+    def on_error(self, _exc: Exception) -> None:
         """Continue to listen after a bus error, which the Notifier keeps for waiting threads; called by the Notifier.
         Without this its thread would end with a traceback. A bus that fails repeatedly must not keep a core busy."""
-        del exc
         time.sleep(_AFTER_ERROR_S)
-
-    def stop(self) -> None:
-        """Do nothing; called by the Notifier at its end."""
 
     def state(self, node_id: int) -> int | None:
         """Return the NMT state of the last heartbeat, None for a node without one."""
@@ -86,6 +83,45 @@ class Heartbeats(can.Listener):
                 left_s = deadline_s - time.monotonic()
                 if left_s <= 0 or not self._arrived.wait(left_s):
                     return False
+
+
+class Dispatcher(can.Listener):
+    """Pass the data frames of a bus to the subscribers of their identifiers, and send: the part of ``canopen.Network``
+    that a host needs, without the import of canopen's nodes, PDOs and dictionaries."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self.bus: can.BusABC | None = bus
+        self.notifier: can.Notifier | None = None
+        self._subscribers: dict[int, list[Subscriber]] = {}
+        self._lock = threading.Lock()
+
+    def subscribe(self, can_id: int, subscriber: Subscriber) -> None:
+        """Call ``subscriber(can_id, data, t_s)`` for each frame, in the thread that receives it."""
+        self._subscribers.setdefault(can_id, []).append(subscriber)
+
+    def unsubscribe(self, can_id: int, subscriber: Subscriber) -> None:
+        """Stop that."""
+        with suppress(ValueError):
+            self._subscribers.get(can_id, []).remove(subscriber)
+
+    def on_message_received(self, msg: can.Message) -> None:
+        """Pass a frame on; called by the Notifier's thread."""
+        if not (msg.is_error_frame or msg.is_remote_frame):
+            self.notify(msg.arbitration_id, msg.data, msg.timestamp)
+
+    def notify(self, can_id: int, data: bytearray, t_s: float) -> None:
+        """Pass a frame to its subscribers."""
+        for subscriber in tuple(self._subscribers.get(can_id, ())):
+            subscriber(can_id, data, t_s)
+
+    def send_message(self, can_id: int, data: bytes) -> None:
+        """Send a frame. Raises what the bus raises, also while it receives, and RuntimeError where it is closed."""
+        if self.bus is None:
+            raise RuntimeError("Not connected to CAN bus")
+        with self._lock:
+            self.bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+        if self.notifier is not None and self.notifier.exception is not None:
+            raise self.notifier.exception
 
 
 class Bus:
@@ -119,33 +155,35 @@ class Bus:
         self.buffer = FrameBuffer()
         self.heartbeats = Heartbeats()
         self.duplicates = self.heartbeats.duplicates
-        self._listeners: list[Any] = [self.buffer, self.heartbeats]
         self._owned = owned
-        self._shared: can.Notifier | None = None
-        """The receiving thread of another owner, if the bus has one."""
-        self.network = self._attached(bus)
-        self.network.subscribe(codes.SYNC_COB_ID, self._on_sync)
-
-    def _attached(self, bus: can.BusABC | canopen.Network) -> canopen.Network:
-        """Return a network that receives from ``bus``, through its existing receiving thread, if it has one."""
-        if isinstance(bus, canopen.Network):
+        self._network = None if isinstance(bus, can.BusABC) else bus
+        if not isinstance(bus, can.BusABC):
             if bus.bus is None or bus.notifier is None:
                 raise InputError("the canopen.Network is not connected: call its connect() first")
-            self._shared = bus.notifier
+            running, bus = [bus.notifier], bus.bus
         else:
-            network = canopen.Network(bus)
-            running = can.Notifier.find_instances(bus)
-            if not running:
-                network.NOTIFIER_CYCLE = _RECEIVE_CYCLE_S
-                network.listeners += self._listeners
-                network.connect()
-                return network
-            self._shared = network.notifier = running[0]
-            self._listeners += network.listeners
-            bus = network
-        for listener in self._listeners:
-            self._shared.add_listener(listener)
-        return bus
+            running = list(can.Notifier.find_instances(bus))
+        self.dispatcher = Dispatcher(bus)
+        self.dispatcher.subscribe(codes.SYNC_COB_ID, self._on_sync)
+        self._listeners: list[Any] = [self.buffer, self.heartbeats, self.dispatcher]
+        self._is_shared = bool(running)  # another owner receives from the bus
+        self.notifier = running[0] if running else can.Notifier(bus, [*self._listeners], _RECEIVE_CYCLE_S)
+        for listener in self._listeners if running else ():
+            self.notifier.add_listener(listener)
+        self.dispatcher.notifier = self.notifier
+
+    @property
+    def network(self) -> canopen.Network:
+        """A ``canopen.Network`` on this bus: the one given, otherwise one that receives from its first use on."""
+        if self._network is None:
+            import canopen
+
+            self._network = canopen.Network(self.dispatcher.bus)
+            self._network.notifier = self.notifier
+            for listener in self._network.listeners:
+                self.notifier.add_listener(listener)
+            self._listeners += self._network.listeners
+        return self._network
 
     @classmethod
     def open(
@@ -162,8 +200,8 @@ class Bus:
         an interface is SocketCAN's. An open bus or network stays open at ``close``. ``bus_options``: other keywords of
         ``can.Bus``. Raises EnvironmentLackError if the bus cannot be opened.
         """
-        if isinstance(channel, can.BusABC | canopen.Network):
-            return cls(channel, timeout_s, retries, owned=False)
+        if isinstance(channel, can.BusABC) or hasattr(channel, "add_node"):  # a canopen.Network, which is not imported
+            return cls(channel, timeout_s, retries, owned=False)  # type: ignore[arg-type]
         if channel is not None and interface is None and sys.platform == "linux":
             own = can.rc.get("interface") or os.environ.get("CAN_INTERFACE")  # python-can's configuration
             interface = None if own or can.util.load_file_config().get("interface") else "socketcan"
@@ -202,17 +240,19 @@ class Bus:
         with self._lock:
             if node_id not in self._channels:
                 self._channels[node_id] = SdoChannel(
-                    self.network, node_id, self._timeout_s, self._retries, duplicates=self.duplicates
+                    self.dispatcher, node_id, self._timeout_s, self._retries, duplicates=self.duplicates
                 )
             return self._channels[node_id]
 
-    def nmt(self, command: str, node_id: int = 0) -> None:
-        """Send an NMT command (a key of NMT_COMMANDS) to a node, or to all with 0."""
+    def nmt(self, command: str, node_id: int = 0) -> int:
+        """Send an NMT command (a key of NMT_COMMANDS) to a node, or to all with 0; return the state that follows."""
         if command not in NMT_COMMANDS:
             raise InputError(f"NMT command {command!r}: allowed are {', '.join(NMT_COMMANDS)}")
         if node_id not in range(128):
             raise InputError(f"node-id {node_id!r}: allowed are 1 to 127, and 0 for all nodes")
-        self.send(codes.NMT_COB_ID, bytes((NMT_COMMANDS[command][0], node_id)))
+        specifier, state = NMT_COMMANDS[command]
+        self.send(codes.NMT_COB_ID, bytes((specifier, node_id)))
+        return state
 
     def sync(self) -> None:
         """Send one SYNC, with its number where ``sync_overflow`` asks for one."""
@@ -236,8 +276,8 @@ class Bus:
         """Send one frame with an 11-bit identifier. Raises EnvironmentLackError if the bus refuses it."""
         self.duplicates.frame(can_id, data, time.time_ns())
         try:
-            self.network.send_message(can_id, data)
-        except (can.CanError, RuntimeError) as error:  # canopen raises it for a closed bus
+            self.dispatcher.send_message(can_id, data)
+        except (can.CanError, RuntimeError) as error:
             raise EnvironmentLackError(f"frame 0x{can_id:03X}: the bus refused it: {error}") from None
 
     def check_duplicates(self, node_ids: Iterable[int] = ()) -> None:
@@ -267,20 +307,16 @@ class Bus:
             finger.close()
         for channel in channels:
             channel.close()
-        with suppress(KeyError, ValueError):
-            self.network.unsubscribe(codes.SYNC_COB_ID, self._on_sync)
-        if self._shared is not None:
+        if self._is_shared:
             for listener in self._listeners:
                 with suppress(ValueError):
-                    self._shared.remove_listener(listener)
-        elif self._owned:
-            if self.network.notifier is not None:
-                self.network.notifier.exception = None  # canopen would log it, and raise it after the release
+                    self.notifier.remove_listener(listener)
+            return
+        self.notifier.stop()
+        if self._owned and self.dispatcher.bus is not None:
             with suppress(can.CanError):
-                self.network.disconnect()
-        elif self.network.notifier is not None:
-            self.network.notifier.stop(1.0)
-            self.network.bus = None
+                self.dispatcher.bus.shutdown()
+        self.dispatcher.bus = None
 
     def __enter__(self) -> Self:
         return self
@@ -290,43 +326,3 @@ class Bus:
 
 
 open_connection = Bus.open
-
-
-class NotReachedError(NoResponseError):
-    """Some nodes did not report the state; ``reached`` has the states of the others, by node-id."""
-
-    def __init__(self, message: str, reached: dict[int, str]) -> None:
-        super().__init__(message)
-        self.reached = reached
-
-
-def command_and_wait(
-    connection: Bus, command: str, node_ids: Collection[int], timeout_s: float = 2.0
-) -> dict[int, str]:
-    """Send an NMT command to each node and wait for its heartbeat; return the state that each reported.
-
-    NMT is not confirmed: a command other than a reset is repeated until the heartbeat reports the state, so a node may
-    boot meanwhile. Raises NotReachedError naming the nodes whose heartbeat did not report it in time: they are off, or
-    their heartbeat (1017h) is slower or 0.
-    """
-    since_s = time.monotonic()
-    wanted, reached = NMT_COMMANDS[command][1], dict[int, str]()
-    again_s = timeout_s if command.startswith("reset") else _AGAIN_S
-    waiting = sorted(node_ids)
-    while waiting and (now_s := time.monotonic()) < since_s + timeout_s:
-        for node_id in waiting:
-            connection.nmt(command, node_id)
-        until_s = min(now_s + again_s, since_s + timeout_s)
-        for node_id in waiting:
-            if connection.heartbeats.wait(node_id, wanted, since_s, max(0.0, until_s - time.monotonic())):
-                reached[node_id] = state_text(wanted)
-        waiting = [node_id for node_id in waiting if node_id not in reached]
-    if waiting:
-        last = ((node_id, connection.heartbeats.state(node_id)) for node_id in waiting)
-        shown = [f"{n} ({'silent' if s is None else f'last reported {state_text(s)}'})" for n, s in last]
-        raise NotReachedError(
-            f"nmt {command}: no heartbeat with the new state within {timeout_s:g} s from node {', '.join(shown)}; "
-            "check that its heartbeat (1017h) is on and faster than this",
-            reached,
-        )
-    return reached

@@ -1,4 +1,4 @@
-"""Find the nodes on a bus and their state."""
+"""Find the nodes on a bus and their state; bring nodes to a state by NMT."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ FIND_S = 0.25
 _DEVICE_TYPE = (0x00, 0x10, 0x00)  # 1000h:00 in bytes 1 to 3 of a request, and of its response or abort
 _READ_DEVICE_TYPE = bytes((0x40, *_DEVICE_TYPE, 0, 0, 0, 0))
 _IN_A_ROW, _GAP_S = 8, 1e-3  # requests without a pause, so that short transmit queues do not overflow
+_AGAIN_S = 0.5  # an NMT command without its state
 _STEP_S = 0.02  # between looks whether every node-id was heard
 _FAILED: dict[type[TipforceError], str] = {
     SdoAbortError: "no identity object",
@@ -134,3 +135,42 @@ def _identified(finger: Finger, node: FoundNode) -> FoundNode:
         eds = f"no: revision 0x{identity.revision:08X}, expected 0x{REVISION:08X}"
     device = f"{'simulated ' if identity.simulated else ''}fingertip, {identity.gauges} gauges"
     return replace(node, device=device, calibration=calibration, eds=eds, faults=faults)
+
+
+class NotReachedError(NoResponseError):
+    """Some nodes did not report the state; ``reached`` has the states of the others, by node-id."""
+
+    def __init__(self, message: str, reached: dict[int, str]) -> None:
+        super().__init__(message)
+        self.reached = reached
+
+
+def command_and_wait(
+    connection: Bus, command: str, node_ids: Collection[int], timeout_s: float = 2.0
+) -> dict[int, str]:
+    """Send an NMT command to each node and wait for its heartbeat; return the state that each reported.
+
+    NMT is not confirmed: a command other than a reset is repeated until the heartbeat reports the state, so a node may
+    boot meanwhile. Raises NotReachedError naming the nodes whose heartbeat did not report it in time: they are off, or
+    their heartbeat (1017h) is slower or 0.
+    """
+    since_s, reached = time.monotonic(), dict[int, str]()
+    again_s = timeout_s if command.startswith("reset") else _AGAIN_S
+    waiting = sorted(node_ids)
+    while waiting and (now_s := time.monotonic()) < since_s + timeout_s:
+        for node_id in waiting:
+            wanted = connection.nmt(command, node_id)
+        until_s = min(now_s + again_s, since_s + timeout_s)
+        for node_id in waiting:
+            if connection.heartbeats.wait(node_id, wanted, since_s, max(0.0, until_s - time.monotonic())):
+                reached[node_id] = state_text(wanted)
+        waiting = [node_id for node_id in waiting if node_id not in reached]
+    if waiting:
+        last = ((node_id, connection.heartbeats.state(node_id)) for node_id in waiting)
+        shown = [f"{n} ({'silent' if s is None else f'last reported {state_text(s)}'})" for n, s in last]
+        raise NotReachedError(
+            f"nmt {command}: no heartbeat with the new state within {timeout_s:g} s from node {', '.join(shown)}; "
+            "check that its heartbeat (1017h) is on and faster than this",
+            reached,
+        )
+    return reached

@@ -17,7 +17,6 @@ from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry, gauges_of
 from tipforce.errors import InputError, RefusedError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration, difference
-from tipforce.host.network.lss import LssAddress
 from tipforce.host.network.sdo import checked_time
 
 if TYPE_CHECKING:
@@ -42,8 +41,17 @@ _REFUSALS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Identity(LssAddress):
-    """Object 1018h and the information in the product code."""
+class Identity:
+    """Object 1018h, which identifies a device in LSS (CiA 305, 5.2), and the information in the product code."""
+
+    vendor: int
+    product: int
+    revision: int
+    serial: int
+
+    def __str__(self) -> str:
+        numbers = f"vendor 0x{self.vendor:08X} product 0x{self.product:08X} revision 0x{self.revision:08X}"
+        return f"{numbers} serial {self.serial}"
 
     @property
     def is_fingertip(self) -> bool:
@@ -149,12 +157,8 @@ class Finger:
     def apply_calibration(
         self, calibration: Calibration, store: bool = True, on_step: Callable[[str], None] = lambda _step: None
     ) -> int:
-        """Stage, commit, read back and compare, store; returns the generation (2103h:4).
-
-        Raises RefusedError if the node rejects the commit (the active calibration stays active) or its content differs
-        from the record sent, InputError for another number of gauges or what no sensor can have
-        (``Calibration.check``).
-        """
+        """Stage, commit, read back, compare, store; return the generation (2103h:4). Raises RefusedError if the node
+        rejects it or holds another (the active one stays), InputError for other gauges and as ``Calibration.check``."""
         calibration.check()
         identity = self.identity()
         if not identity.is_fingertip or identity.gauges != calibration.gauges:

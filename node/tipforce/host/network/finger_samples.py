@@ -34,12 +34,8 @@ _SETS = (("P", "phi", "theta"), ("F1", "F2", "F3"))
 
 
 class ContactReader:
-    """Subscribe to the PDOs of one finger and convert each new sample to a Contact.
-
-    Its PDOs are read over SDO; ``passive``: they are the default ones of ``gauges`` gauges, and nothing is sent.
-    ``calibrations``, by node-id, are used for the uncertainties. Raises as SdoChannel does, and InputError for a finger
-    whose PDOs carry no contact, no force and not all gauges, each with status and counter.
-    """
+    """Convert each new sample of a finger to a Contact, with ``calibrations``, by node-id. Its PDOs are read over SDO;
+    ``passive``: the default ones of ``gauges`` gauges, and nothing is sent. Raises as ``Finger.read``."""
 
     def __init__(
         self, connection: Bus, node_id: int, calibrations: Mapping[int, Calibration | None], passive: bool, gauges: int
@@ -65,13 +61,12 @@ class ContactReader:
         self._last: Contact | None = None
         self._since_s = time.monotonic()
         for can_id in (*self._assembler.pdos, *self._assembler.services):
-            connection.network.subscribe(can_id, self._on_frame)
+            connection.dispatcher.subscribe(can_id, self._on_frame)
 
     def close(self) -> None:
         """Stop receiving."""
         for can_id in (*self._assembler.pdos, *self._assembler.services):
-            with suppress(KeyError, ValueError):
-                self._connection.network.unsubscribe(can_id, self._on_frame)
+            self._connection.dispatcher.unsubscribe(can_id, self._on_frame)
 
     def next(self, deadline_s: float, period_s: float | None) -> Contact:
         """Return the next new sample. ``period_s``: of own SYNCs if no other node sends them; None: send none. Raises

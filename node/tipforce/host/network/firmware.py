@@ -11,7 +11,8 @@ from pathlib import Path
 from canopen_device.core import codes, program
 from tipforce.dictionary import objects as od
 from tipforce.errors import InputError, NoResponseError, RefusedError, SdoAbortError
-from tipforce.host.network.bus import Bus, command_and_wait
+from tipforce.host.network.bus import Bus
+from tipforce.host.network.find import command_and_wait
 from tipforce.host.network.sdo import SdoChannel
 from tipforce_loader import image
 
@@ -87,12 +88,8 @@ def install(
     allow_downgrade: bool = False,
     progress: Callable[[int], None] = lambda _bytes: None,
 ) -> NodeProgram:
-    """Install an image and start it; return the program that the node has confirmed.
-
-    The node enters PRE-OPERATIONAL. ``progress`` receives the number of bytes sent. Raises RefusedError for a node
-    without slots, another product, a downgrade, an image that is refused or given up; NoResponseError if the node does
-    not return.
-    """
+    """Install an image and start it; return the program that the node, in PRE-OPERATIONAL, confirmed. ``progress``:
+    bytes sent. Raises RefusedError (no slots, product, downgrade, refused, given up), NoResponseError."""
     sdo = bus.sdo(node_id)
     place = f"node {node_id} (0x{node_id:02X})"
     before = node_program(sdo)

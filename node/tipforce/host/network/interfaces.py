@@ -16,7 +16,8 @@ from tipforce.errors import EnvironmentLackError
 if TYPE_CHECKING:
     import can
 
-    from canopen_device.running.ports import PythonCanPort, SocketCanPort
+    from canopen_device.running.open_bus import PythonCanPort
+    from canopen_device.running.ports import SocketCanPort
 
 ARPHRD_CAN = 280  # linux/if_arp.h
 _SIOCGIFFLAGS, _SIOCGIFHWADDR, _IFF_UP = 0x8913, 0x8927, 1  # linux/sockios.h, linux/if.h
@@ -104,7 +105,8 @@ def open_bus(**options: Any) -> can.BusABC:
 
 def open_port(**options: Any) -> tuple[SocketCanPort | PythonCanPort, str]:
     """Return a port for nodes, and its name: kernel sockets for SocketCAN, python-can for every other interface."""
-    from canopen_device.running.ports import PythonCanPort, SocketCanPort
+    from canopen_device.running.open_bus import PythonCanPort
+    from canopen_device.running.ports import SocketCanPort
 
     channel = options.get("channel")
     if sys.platform == "linux" and options.get("interface") == "socketcan" and channel:

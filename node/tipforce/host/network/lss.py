@@ -6,11 +6,11 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from canopen_device.core import codes
 from tipforce.errors import InputError, NoResponseError, RefusedError
+from tipforce.host.network.finger import Identity
 
 if TYPE_CHECKING:
     from tipforce.host.network.bus import Bus
@@ -21,20 +21,6 @@ STORE_TIMEOUT_S = 2.0  # a node responds after its memory is written
 _STORE_ERRORS = {1: "it has no memory for node-id and bit rate", 2: "its memory failed"}
 
 
-@dataclass(frozen=True, slots=True)
-class LssAddress:
-    """The four numbers of 1018h that identify a device in LSS (CiA 305, 5.2)."""
-
-    vendor: int
-    product: int
-    revision: int
-    serial: int
-
-    def __str__(self) -> str:
-        numbers = f"vendor 0x{self.vendor:08X} product 0x{self.product:08X} revision 0x{self.revision:08X}"
-        return f"{numbers} serial {self.serial}"
-
-
 class LssMaster:
     """LSS master of a bus. Use it as a context manager: all nodes are left in the waiting state."""
 
@@ -42,14 +28,14 @@ class LssMaster:
         self._connection = connection
         self._timeout_s = timeout_s
         self._awaited: tuple[int, Future[bytes]] | None = None
-        connection.network.subscribe(codes.LSS_RESPONSE_COB_ID, self._on_answer)
+        connection.dispatcher.subscribe(codes.LSS_RESPONSE_COB_ID, self._on_answer)
 
     def __enter__(self) -> LssMaster:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.release()
-        self._connection.network.unsubscribe(codes.LSS_RESPONSE_COB_ID, self._on_answer)
+        self._connection.dispatcher.unsubscribe(codes.LSS_RESPONSE_COB_ID, self._on_answer)
 
     def release(self) -> None:
         """Set all nodes to the waiting state; one with its first node-id boots with it now (CiA 305, 6.3.2)."""
@@ -59,7 +45,7 @@ class LssMaster:
         """Return whether a node without a node-id responds."""
         return self._ask(codes.LSS_IDENTIFY_UNCONFIGURED, b"", codes.LSS_UNCONFIGURED_RESPONSE) is not None
 
-    def fastscan(self, known: Sequence[int] = ()) -> LssAddress | None:
+    def fastscan(self, known: Sequence[int] = ()) -> Identity | None:
         """Find one node without a node-id, and leave it in the configuration state; None if there is none.
 
         ``known`` starts the address, as far as it is known (vendor, product, ...): one request for each part instead of
@@ -73,7 +59,7 @@ class LssMaster:
             if part is None:
                 return None
             parts[sub] = part
-        return LssAddress(*parts)
+        return Identity(*parts)
 
     def _scanned(self, sub: int) -> int | None:
         """Return a part of the address, bit by bit; None if no node has it. Silence is a bit of 1, and so is a late
@@ -90,7 +76,7 @@ class LssMaster:
     def _ends(self, part: int, sub: int, timeout_s: float | None = None) -> bool:
         return self._matches(part, 0, sub, (sub + 1) % 4, timeout_s)
 
-    def select(self, address: LssAddress) -> bool:
+    def select(self, address: Identity) -> bool:
         """Set the node with this address to the configuration state, node-id or not; False without a response."""
         for k, part in enumerate((address.vendor, address.product, address.revision)):
             self._send(codes.LSS_SELECT_FIRST + k, struct.pack("<I", part))

@@ -11,19 +11,23 @@ from collections.abc import Callable, Coroutine
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import can
-import canopen
 
 from canopen_device.core import codes
 from canopen_device.core.sdo_client import SWITCH_BYTES, BlockDownload, BlockUpload, Download, Transfer, Upload
 from canopen_device.types import Value
 from tipforce.dictionary import objects as od
-from tipforce.dictionary.entries import Entry, gauges_of, resolve
+from tipforce.dictionary.entries import Entry, gauges_of
 from tipforce.dictionary.table import MIN_GAUGES
 from tipforce.errors import DuplicateNodeError, EnvironmentLackError, InputError, NoResponseError, SdoAbortError
 from tipforce.host.decoding.duplicates import PRODUCT, SERIAL, DuplicateNodes
+
+if TYPE_CHECKING:
+    import canopen
+
+    from tipforce.host.network.bus import Dispatcher
 
 T = TypeVar("T", bound=Value)
 R = TypeVar("R")
@@ -38,7 +42,7 @@ _MOST_PROBES = 16
 _DOMAIN = "D"  # the only type of objects that are long on a fingertip
 LONGEST_WAIT_S = 10.0
 _FULL_QUEUE_US = 2000  # pause after the bus refused a segment of a block: its transmit queue is full
-_REFUSALS = (can.CanError, OSError, RuntimeError)  # canopen raises the last for a closed bus
+_REFUSALS = (can.CanError, OSError, RuntimeError)  # the last for a closed bus
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +76,7 @@ class SdoChannel:
 
     def __init__(
         self,
-        network: canopen.Network,
+        network: Dispatcher | canopen.Network,
         node_id: int,
         timeout_s: float = DEFAULT_TIMEOUT_S,
         retries: int = DEFAULT_RETRIES,
@@ -146,11 +150,11 @@ class SdoChannel:
     def check_duplicates(self, wait: bool = False) -> None:
         """Raise DuplicateNodeError if two nodes respond with this node-id. Without a suspicion nothing is sent.
         ``wait``: for the second response to the last request."""
-        while wait and time.monotonic() < self._ended_s + SECOND_RESPONSE_S and not self._suspected:
-            time.sleep(_STEP_S)
-        if not self._suspected:
-            return
         watch, node_id = self._duplicates, self.node_id
+        while wait and time.monotonic() < self._ended_s + SECOND_RESPONSE_S and not watch.suspected(node_id):
+            time.sleep(_STEP_S)
+        if not watch.suspected(node_id):
+            return
         watch.retry(node_id)
         for number in range(_MOST_PROBES):
             try:
@@ -167,10 +171,6 @@ class SdoChannel:
         duplicate = watch.found.get(node_id)
         if duplicate is not None:
             raise DuplicateNodeError(str(duplicate))
-
-    @property
-    def _suspected(self) -> bool:
-        return self._duplicates.suspected(self.node_id)
 
     @property
     def deadline_s(self) -> float:
@@ -192,6 +192,8 @@ class SdoChannel:
             raise InputError(f"object {name!r}: allowed is a name such as 'calibration.serial', or '0x2102:01'")
         if self._gauges is None:
             self._gauges = gauges_of(self.read(od.IDENTITY_PRODUCT)) or MIN_GAUGES
+        from tipforce.dictionary.names import resolve
+
         return resolve(name, self._gauges)
 
     async def _transfer(self, request: Request, *, blocks: bool) -> bytes:
@@ -205,7 +207,7 @@ class SdoChannel:
     async def _check(self, blocks: bool) -> None:
         if blocks:
             self.check_duplicates()
-        elif self._suspected:
+        elif self._duplicates.suspected(self.node_id):
             await asyncio.to_thread(self.check_duplicates)
 
     async def _in_turn(self, request: Request, *, blocks: bool) -> bytes:
