@@ -173,7 +173,8 @@ def _one_load(connection: Bus, calibrations: dict[int, Calibration], applied: Fl
     for node_id, calibration in calibrations.items():
         strain = 1e-6 * _quantities(data[gauges + node_id], COUNT_MICROSTRAIN)
         estimated = _quantities(data[contact + node_id], 2.0 * HALF_STEP)
-        _, own = contact_model.estimate(calibration.C, strain, calibration.offset_strain, pull=calibration.pull)
+        F = contact_model.force_from_strain(calibration.C, strain, calibration.offset_strain)
+        own = contact_model.contacts(F, pull=calibration.pull)
         host = np.array([own.P_newtons, np.degrees(own.phi_rad), np.degrees(own.theta_rad)], dtype=np.float64)
         u, bound, host_bound = bounds(calibration, applied, z)
         sense = "pull" if calibration.pull else "push"
