@@ -44,7 +44,8 @@ class Interrupts:
                     if index in _CHANNEL_VALUES:
                         low, high = [self._device.od.default(limit, sub) for limit in _LIMITS[:2]]
                         lower, upper, _ = [self._setting(limit, sub) for limit in _LIMITS]
-                        if self._setting(indices.INTERRUPT_DELTA, sub) > 0.0 or lower > low or upper < high:  # type: ignore[operator]
+                        delta = self._setting(indices.INTERRUPT_DELTA, sub)
+                        if delta > 0.0 or lower > low or upper < high:  # type: ignore[operator]
                             self.watched.setdefault(sub, []).append(number)
 
     def check(self) -> None:
