@@ -23,12 +23,8 @@ MOST_VALUE_BYTES = 64 << 20
 
 @dataclass(slots=True)
 class Entry:
-    """One sub-index.
-
-    ``default`` and ``value`` (ParameterValue, None without one) include the node-id. ``directions`` are those of the
-    PDOs that may map it: the flags TPDO and RPDO of ``device.object_dictionary``. ``access`` is ro, wo, rw, rwr, rww or
-    const; ``letter`` one of ``types``; ``line`` that of its section.
-    """
+    """One sub-index. ``default`` and ``value`` (None without one) include the node-id; ``directions``: flags TPDO, RPDO
+    of the PDOs that may map it; ``access``: ro, wo, rw, rwr, rww or const; ``letter`` one of ``types``."""
 
     index: int
     sub: int
@@ -77,12 +73,8 @@ class Object:
 
 @dataclass(slots=True)
 class Description:
-    """A device as its file describes it, for one node-id.
-
-    ``findings`` are in the order of the lines. ``bit_rates`` are those that [DeviceInfo] allows, in bit/s; ``bit_rate``
-    is that of a DCF. ``dummies`` are the data types that an RPDO may map as placeholders, None if the file does not
-    say. ``is_dcf``: it configures one node.
-    """
+    """A device as its file describes it, for one node-id. ``bit_rates`` are those that [DeviceInfo] allows, in bit/s,
+    ``bit_rate`` is that of a DCF. ``dummies``: data types that an RPDO may map as placeholders, None if not stated."""
 
     path: Path
     node_id: int
@@ -133,11 +125,8 @@ class Description:
         return [entry for _, part in sorted(self.objects.items()) for _, entry in sorted(part.entries.items())]
 
     def find(self, key: int | tuple[int, int] | str) -> Entry:
-        """The entry of an index (its only or first value), of (index, sub), of ``"0x6064"``, ``"6041h:00"``, or a name.
-
-        A name is the ParameterName, "Object name/Entry name" for an entry of a record; case and spaces do not matter.
-        Raises InputError with the nearest names, and for a name that several entries have.
-        """
+        """The entry of an index (its only or first value), (index, sub), "0x6064", "6041h:00", or a name in any case
+        ("Object/Entry" for a record). Raises InputError with the nearest names, or those of several entries."""
         if not isinstance(key, str):
             return _numbered(self, key, None) if isinstance(key, int) else _numbered(self, *key)
         if match := _NUMERIC.fullmatch(key.strip()):

@@ -1,5 +1,4 @@
-"""Read an EDS or DCF completely (CiA 306-1): general sections, the objects with their entries, records, arrays, and
-compact arrays with lists, and the checks between them."""
+"""Read an EDS or DCF (CiA 306-1): general sections, objects, records, arrays, compact arrays, and their checks."""
 
 from dataclasses import replace
 from functools import cached_property
@@ -29,8 +28,8 @@ _MOST_FILE_BYTES = 16 << 20
 
 
 def read_eds(path: str | Path, node_id: int | None = None) -> Description:
-    """Return the device that an EDS, DCF, XDD or XDC describes, as node ``node_id`` (default: of the DCF), with
-    ``warnings``. Raises InputError for a file that is no EDS, has no object, or, without ``node_id``, names no node."""
+    """Return the device of an EDS, DCF, XDD or XDC as node ``node_id`` (default: of the DCF). Raises InputError for a
+    file that is no EDS, has no object, or, without ``node_id``, names no node."""
     return describe(read(path), node_id)
 
 

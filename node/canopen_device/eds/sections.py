@@ -74,11 +74,8 @@ def shortened(text: str) -> str:
 
 @dataclass(slots=True)
 class EdsFile:
-    """The sections of a file by their names in lower case; objects, their subs and their lists by number.
-
-    ``lists[index]`` holds the sections "name", "value" and "denotation" of a compact object. ``content``: the bytes of
-    the file, those of its sections for an XDD.
-    """
+    """The sections of a file by names in lower case; objects, subs and lists by number. ``lists[index]``: "name",
+    "value" and "denotation" of a compact object. ``content``: bytes of the file, or of an XDD's sections."""
 
     sections: dict[str, Section] = field(default_factory=dict)
     objects: dict[int, Section] = field(default_factory=dict)
