@@ -32,12 +32,8 @@ _MOST_WAITING = 4096
 
 
 class DeviceApplication:
-    """What a simulated device does beyond CANopen.
-
-    Every method may be overridden; this class does nothing. ``self.device`` is the device: ``self.device[0x6064] =
-    100`` sets a value and sends the PDOs that are due on it. The methods run in the thread of the bus loop and must not
-    wait; an exception ends the loop.
-    """
+    """What a simulated device does beyond CANopen; this class does nothing. ``self.device[0x6064] = 100`` sends the
+    PDOs that are due. Methods run in the thread of the bus loop and must not wait; an exception ends it."""
 
     device: SimulatedDevice
     period_s = 0.01
@@ -62,13 +58,8 @@ class DeviceApplication:
 
 
 class SimulatedDevice:
-    """One simulated CANopen device.
-
-    ``device[key]`` reads and writes a value, also while it runs in another thread. A key is an index (0x6064), (index,
-    sub-index), "0x6064:00", "6064h", or the ParameterName of the EDS. A value that is set, or written by a master,
-    sends the event-driven PDOs that map it. Raises InputError for a key that the device does not have and a value that
-    is not of its type.
-    """
+    """One simulated device. ``device[key]``, as ``Description.find``, also from another thread: a value that is set or
+    written sends the event-driven PDOs that map it. Raises InputError for a wrong key or value."""
 
     def __init__(
         self, description: Description, application: DeviceApplication | None = None,
@@ -240,8 +231,8 @@ class Faults:
         self._origin_us: int | None = None
 
     def plan(self, kind: str, at_s: float = 0.0, for_s: float | None = None, **parameters: float) -> None:
-        """Start a fault at ``at_s``, and end it after ``for_s`` seconds (None: never). Raises InputError for an unknown
-        kind or parameter, and a time before 0."""
+        """Start a fault at ``at_s``, end it ``for_s`` later (None: never). Raises InputError for what is not
+        allowed."""
         checked(kind, parameters)
         if at_s < 0.0 or (for_s is not None and for_s <= 0.0):
             shown = f"at_s {at_s:g}, for_s {for_s}"

@@ -55,11 +55,8 @@ def made_device(
     values: Mapping[Any, Value] | None = None, signals: Mapping[Key, Signal] | None = None, store: str = "",
     folder: Path | None = None,
 ) -> SimulatedDevice:  # fmt: skip
-    """Return a device: ``eds`` "cia402" is the shipped drive, ``application`` also a name, ``store`` a file.
-
-    A text among ``values`` is read as its entry's type. ``folder`` is that of the file that names the others. Raises
-    InputError, with ``folder`` for a file that is not below it, too.
-    """
+    """Return a device: ``eds`` may be "cia402", ``application`` a name, ``store`` a file, a text in ``values`` is read
+    as its type. Raises InputError, with ``folder`` also for a file that is not below it."""
     shipped = eds == CIA402 and not path_of(folder, eds, "eds").exists()
     description = read_eds(shipped_eds(CIA402) if shipped else path_of(folder, eds, "eds"), node_id)
     if isinstance(application, str | None):
