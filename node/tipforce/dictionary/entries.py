@@ -1,6 +1,4 @@
-"""Entries of the dictionary: what to read or write, how bytes become a value, and what the table says of each.
-``objects`` unfolds the table's runs into an ``Entry`` for each sub-index. ``names`` finds those that a person names.
-"""
+"""Entries of the dictionary: what to read or write, how bytes become a value, and what the table says of each."""
 
 from __future__ import annotations
 

@@ -1,7 +1,5 @@
-"""Write every file that is made from the table: ``python -m tipforce.dictionary.generate
-[ROOT]``. Besides EDS and DBC: ``objects.py``, a typed constant for each entry or array that the host names (write
-``NAME: Final`` there for another), and the object reference as Markdown, every object and the PDOs byte by byte.
-"""
+"""Write every file that is made from the table: ``python -m tipforce.dictionary.generate [ROOT]``. Besides EDS and DBC:
+the object reference as Markdown, and ``objects.py``, a constant for each name in it (add ``NAME: Final``)."""
 
 import itertools
 import re

@@ -1,7 +1,4 @@
-"""The indices of the fingertip's own objects, one for each object of ``table_objects``. Plain integers, for the node
-too (MicroPython). The communication area is in ``canopen_device.core.communication``; the integer forms of a value are
-``table.INT16_FORM`` and ``table.INT32_FORM`` beyond its REAL32 form.
-"""
+"""The indices of the fingertip's own objects, as plain integers for MicroPython, one for each of ``table_objects``."""
 
 CALIBRATION_MATRIX, CALIBRATION_OFFSET, CALIBRATION_FACTS = 0x2100, 0x2101, 0x2102
 CALIBRATION_CHECK, CALIBRATION_COMMIT, CALIBRATION_GUARD, CALIBRATION_NOISE = 0x2103, 0x2104, 0x2105, 0x2106

@@ -26,12 +26,8 @@ _MEASURED = {
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """One quantity in a message: value = raw x ``scale`` + ``offset``, in ``unit``; little-endian from ``start_bit``.
-
-    Where ``big_endian`` (only in foreign messages), ``start_bit`` counts from the lowest bit of the last byte.
-    ``minimum`` and ``maximum`` are in ``unit``; ``unknown`` is the raw value that stands for no value (None: there is
-    none, or, where ``real``, it is NaN). ``index`` and ``sub`` say which object it was mapped from.
-    """
+    """A quantity in a message: raw x ``scale`` + ``offset``, in ``unit``, little-endian from ``start_bit``
+    (``big_endian``: from the last byte's lowest bit). ``unknown``: raw value for none; None: there is none, or NaN."""
 
     name: str
     start_bit: int

@@ -105,8 +105,7 @@ def forms(index: int) -> "tuple[int, int, int]":
 
 
 def channels(n: int) -> "tuple[Channel, ...]":
-    """The n + 6 channels, sub-index 1 first, each in the form of ``Channel``. ``low`` and ``high`` are the ends of what
-    INTEGER16 can carry at that resolution, in the unit."""
+    """The n + 6 channels, sub-index 1 first; ``low`` and ``high`` are what INTEGER16 carries at that resolution."""
     gauges: tuple[Channel, ...] = tuple(
         ("SG%d" % k, "strain of gauge %d" % k, MICROSTRAIN, 1, 70, "microstrain", -3276.7, 3276.7)
         for k in range(1, n + 1)

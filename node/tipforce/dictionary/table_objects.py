@@ -1,5 +1,4 @@
-"""The objects of a fingertip's dictionary, once, area by area: 1000h to 1FFFh (CiA 301), 2100h to 2201h, 6000h to 9FFFh
-(CiA 404). ``table`` has the form of an object, and the words that are used here."""
+"""The objects of a fingertip's dictionary in the form of ``table``: 1000h (CiA 301), 2100h, and 6000h (CiA 404) on."""
 
 from canopen_device.core import codes
 from canopen_device.core import communication as at
