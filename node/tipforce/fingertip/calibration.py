@@ -1,5 +1,4 @@
-"""The calibration of a node: one staged record that SDO writes fill, one active record that a commit replaces, unpacked
-(docs/objects.md, manufacturer area: 2100h-2106h, 2110h-2116h, 2140h, 2141h)."""
+"""The calibration of a node (docs/objects.md): one staged record that SDO fills, one active that a commit replaces."""
 
 import binascii
 import struct
@@ -23,11 +22,8 @@ _MOST_LEFT = 12  # kept for gauges left out: memory stays bounded whatever gauge
 
 
 class Active:
-    """One calibration, unpacked: ``C`` is three rows in N per strain, ``noise`` the covariance of the gauges.
-
-    ``forces``, ``range_degC`` and ``model`` are 2112h; ``converter`` 2113h and ``per_kelvin`` 2114h, None where all are
-    zero; ``gain_per_kelvin`` 2115h; ``redundancy`` 2116h. ``checked``: a sample has something to be judged by.
-    """
+    """One calibration: ``C`` (rows in N per strain), ``noise``, ``forces``, ``range_degC``, ``model`` (2112h), 2113h to
+    2116h (the first two None where all zero). ``checked``: a sample has something to be judged by."""
 
     def __init__(self, record: bytes, values: "list[float]", n: int) -> None:
         self.record = record

@@ -39,8 +39,7 @@ _FILTER = (indices.FILTER_TYPE, indices.FILTER_CONSTANT)
 
 
 class Channels:
-    """Process values, their status, and the settings of each channel. ``scaling`` is (gain, bias) per gauge, ``spans``
-    (start, end) of it; empty where no gauge can leave its span."""
+    """Process values, status and settings of each channel. ``spans`` is empty where no gauge can leave its span."""
 
     def __init__(self, od: "ObjectDictionary", n: int, fingertip: "Fingertip") -> None:
         self._od = od

@@ -1,7 +1,5 @@
-"""The filters of the gauges (61A0h, 61A1h): every conversion goes in, an average comes out at a SYNC. Loaded with the
-first filter that is set. One filter serves all gauges: a force from gauges with different delays would be wrong while
-it changes. Sums are integers, so nothing accumulates however long a filter runs.
-"""
+"""The filters of the gauges (61A0h, 61A1h), loaded with the first that is set. One serves all gauges: a force from
+gauges with different delays would be wrong while it changes. Sums are integers: no error accumulates."""
 
 from array import array
 
@@ -81,11 +79,8 @@ class RepeatingAverage(Average):
 
 
 class FirstOrder(Average):
-    """y += (x - y) / constant at each conversion; while fewer than ``constant`` came, the mean of them.
-
-    The state, in place of a sum, is constant * y in 1/256 count, an integer that gains x - y at each conversion. It
-    settles exactly on a constant input, and lies within 1/256 count of the real-valued filter.
-    """
+    """y += (x - y) / constant at each conversion; the mean of fewer than ``constant``. The state constant * y is an
+    integer in 1/256 count: exact on a constant input, within 1/256 count of the real-valued filter."""
 
     def push(self, counts: "Sequence[int]") -> bool:
         """Take a conversion; True when there is a new output."""
@@ -114,11 +109,8 @@ def algorithm(kind: int, n: int, constant: int) -> "MovingAverage | RepeatingAve
 
 
 class Filtering:
-    """Between the source and the samples of a node: takes every conversion, and says what there is to latch.
-
-    A gauge at the converter's end or standing still and a fault of the front end show at once, as without a filter;
-    when one of them goes away, and after ``GAP_US`` without a conversion, the filter begins anew.
-    """
+    """Between source and samples: takes every conversion. A gauge at its end or frozen and a front-end fault show at
+    once, as unfiltered; when they end, and after ``GAP_US`` without a conversion, the filter restarts."""
 
     def __init__(self, fingertip: "Fingertip", kind: int, constant: int, now_us: int) -> None:
         self._fingertip = fingertip

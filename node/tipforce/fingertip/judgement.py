@@ -19,12 +19,8 @@ _OVERLOAD = 1 << table.FAULT_OVERLOAD
 
 
 class Judgement:
-    """One sample judged.
-
-    ``bits``: of 2124h, 12 to 15; ``left_out``: the bit of the gauge that contradicts the others; ``solver`` and
-    ``force``: matrix and covariance without it, and F1, F2, F3 in newtons before any tare; both None where the gauges
-    left have no rank 3, or contradict each other.
-    """
+    """One sample judged: ``bits`` 12 to 15 of 2124h; ``left_out``: the gauge that contradicts the others; ``solver``
+    and ``force`` (newtons, before any tare) without it, None without rank 3 or agreement."""
 
     __slots__ = (
         "_active", "_extra", "_faults", "_kelvin", "_known_kelvin", "_lost", "_microstrains", "bits", "force",
@@ -118,11 +114,8 @@ class Judgement:
 
 
 def difference(active: "Active", temperature_degC: float) -> "tuple[float, float, bool]":
-    """(kelvin from the reference that are compensated, kelvin of uncertainty left, bit 14); NaN: not known.
-
-    A temperature that is not known where it is needed is that of the calibrated range, which counts as uniform; one
-    outside of the range is compensated, and its distance from the range left as uncertainty.
-    """
+    """(kelvin to compensate, kelvin left as uncertainty, bit 14), NaN: not known. A needed temperature that is unknown
+    is uniform in the calibrated range; beyond the range the distance is left as uncertainty."""
     low, high = active.range_degC
     ranged = low != 0.0 or high != 0.0
     if temperature_degC - temperature_degC == 0.0:

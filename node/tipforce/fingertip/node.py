@@ -1,5 +1,4 @@
-"""A fingertip node: its dictionary, CANopen device and source put together, and the application, which latches a sample
-and answers for the live objects (CiA 404)."""
+"""A fingertip node: dictionary, device and source, and the application that latches samples and serves live objects."""
 
 from canopen_device.core import codes, communication, emcy
 from canopen_device.core.node import Application, Device
@@ -154,12 +153,8 @@ class Fingertip(Application):
                 self._latch(now_us, self._counter if by_sync else 0, not by_sync)
 
     def _latch(self, now_us: int, number: int = 0, counts: bool = True, waits: bool = False) -> None:
-        """Take the newest reading; without a new one the last sample stands, marked stale.
-
-        ``waits``: it stands as it was, until there is a new one or a fault; a converter may be slower than 6114h. With
-        1019h the counter (2121h) is the number of the SYNC, 0 for a latch without SYNC; otherwise it counts samples,
-        and a stale one, or one between two SYNCs that shows a fault, repeats it.
-        """
+        """Take the newest reading; without one the last sample stands: stale, but not if ``waits`` and no fault. 2121h
+        is the SYNC's number with 1019h (0 without SYNC), else it counts samples; a stale one repeats it."""
         before = self.sample
         sample = self._sampled(now_us)
         if waits and sample.stale and sample.faults == before.faults:
@@ -347,13 +342,8 @@ def fingertip_node(
     node_id: int, source: "Source", n: int = 3, serial: int = 0, save: "Callable[[str, bytes], bool] | None" = None,
     load: "Callable[[str], bytes | None] | None" = None, eds: bytes = b"", programs: "Programs | None" = None,
 ) -> Device:  # fmt: skip
-    """A device that measures with ``source`` (n gauges).
-
-    Step it, or hand it to a bus loop. ``node_id`` is 1..127, or 255 for a node that waits for LSS. ``source.simulated``
-    adds 2200h and 2201h. ``save`` and ``load`` keep parameter groups; without them 1010h and 1011h refuse. ``programs``
-    are the program slots of firmware that has them. Raises ValueError for a node-id or a number of gauges that is not
-    allowed.
-    """
+    """A device that measures with ``source`` (n gauges). ``node_id`` 255 waits for LSS; without ``save`` and ``load``
+    1010h and 1011h refuse. Raises ValueError for a node-id or number of gauges that is not allowed."""
     if not (1 <= node_id <= 127 or node_id == codes.LSS_UNCONFIGURED):
         raise ValueError("node-id: %r, allowed 1 to 127, and 255 for none yet" % node_id)
     od = build(n, node_id, source.simulated, serial, eds, source.converter, programs is not None)

@@ -1,5 +1,4 @@
-"""What a node reports by itself: EMCY for each fault, TPDOs on a change of 2124h and of 2126h, interrupts (CiA 404).
-docs/objects.md; interrupts (6133h to 6136h) send the event-driven TPDOs of channels that changed enough."""
+"""What a node sends by itself: EMCY for faults, TPDOs on a change of 2124h and 2126h, interrupts (6133h to 6136h)."""
 
 from canopen_device.core import emcy
 from canopen_device.core.codes import EVENT_DRIVEN
@@ -21,12 +20,8 @@ _INSIDE, _BELOW, _ABOVE, _UNKNOWN = 0, -1, 1, 2
 
 
 class Interrupts:
-    """Compares each latched sample with what was sent last.
-
-    A TPDO of type 254 or 255 (or 0: with a SYNC) that maps a channel is sent when the channel moved by 6133h or more
-    (0: off), left or re-entered 6134h..6135h (with hysteresis 6136h; limits at their defaults are off), or became known
-    or unknown.
-    """
+    """Send a TPDO of type 254, 255 (or 0: with a SYNC) when a channel in it moved by 6133h (0: off), left or re-entered
+    6134h..6135h (hysteresis 6136h; limits at their defaults are off), or became known or unknown."""
 
     def __init__(self, device: "Device", value: "Callable[[int], float]") -> None:
         self._device = device

@@ -12,13 +12,8 @@ Reading = namedtuple("Reading", ("counts", "faults", "temperature"))
 
 
 class Source:
-    """A gauge source.
-
-    ``period_us`` (6114h) is the time between its conversions. ``converter`` is (bits, counts per microstrain), which
-    the dictionary follows. A reading at ``count_max`` or ``count_min``, the converter's ends, is saturated. ``faults``
-    are bits of 2124h that hold although ``read`` gave None. ``watch_us``: how often a node calls ``look`` where no SYNC
-    takes samples; 0: it cannot fail by itself. ``simulated``: with 2200h, 2201h.
-    """
+    """A gauge source. ``converter``: (bits, counts per microstrain); ``count_min``, ``count_max``: its ends, saturated;
+    ``faults``: bits of 2124h without a reading; ``watch_us``: how often to ``look`` without SYNC, 0: not."""
 
     period_us = 500
     converter: "Converter" = (16, 10.0)
