@@ -1,5 +1,4 @@
-"""Build the nodes of a scene: each with a simulated source, its calibration and only the PDOs that the scene names.
-What a node gets is decided by ``parts``; modules of a part are imported where it is built."""
+"""Build the nodes of a scene, each with a simulated source, its calibration, and only what ``parts`` decides."""
 
 from __future__ import annotations
 
@@ -157,8 +156,7 @@ def _source(
 
 
 def _swinging(dynamics: schema.Dynamics, following: Callable[[int], Triple], clock: Clock) -> Callable[[int], Triple]:
-    """Return the elastic force at the time of a conversion; the tip starts in equilibrium under its load. Steps of
-    ``step_us`` from the start; a conversion between two steps gets the force of the earlier one."""
+    """Return the elastic force at a conversion, that of the last of steps of ``step_us``; starts in equilibrium."""
     from tipforce.sensor.dynamics.first_order_hold import node_coefficients
     from tipforce.sensor.dynamics.model import modes
     from tipforce.sensor.structure.geometry import FABRICATED
@@ -202,8 +200,7 @@ class Fault(NamedTuple):
 
 
 def actions(scene: schema.Scene, fingers: Sequence[Finger], duration_s: float) -> list[tuple[int, Fault | None]]:
-    """Return (t_us, fault, or None for a SYNC) in order; a fault precedes the SYNC of its time, an end a beginning. The
-    first SYNC is one period after the start."""
+    """Return (t_us, fault; None: SYNC, first after one period) in order; faults precede a SYNC, ends a beginning."""
     by_id = {finger.node_id: finger for finger in fingers}
     faults = []
     for fault in scene.faults:

@@ -48,12 +48,8 @@ def run_scene(
     realtime: bool = False,
     advance: Callable[[float], None] = lambda _t_s: None,
 ) -> Outcome:
-    """Run a scene whose calibration files are relative to ``folder``; ``advance`` is called with the time now and then.
-
-    ``duration_s``: instead of the scene's, which its expectations need. ``realtime``: without a named bus nodes and
-    host are on one inside this process. Raises InputError for a duration that is not allowed and for files that cannot
-    be read or written, EnvironmentLackError for a bus that cannot be opened.
-    """
+    """Run a scene for ``duration_s`` in place of its own; ``realtime`` without a named bus: on one inside this process.
+    Raises InputError for a duration or file, EnvironmentLackError for a bus that cannot be opened."""
     from tipforce.scene import results
 
     duration_s = scene.duration_s if duration_s is None else duration_s

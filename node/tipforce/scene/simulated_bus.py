@@ -95,12 +95,8 @@ def simulated_finger(
     seed: int = 0,
     **bus: str,
 ) -> SimulatedBus:
-    """Return a bus with one simulated finger under ``load``: P in newtons, phi and theta in degrees.
-
-    ``layout``: I, II, III, or their mirrors. ``calibrated``: by beam theory; ``pull``: its load sense, by default that
-    of ``load``. ``bus``: keywords of ``can.Bus``, by default inside this process. Raises InputError,
-    EnvironmentLackError.
-    """
+    """Return a bus with one finger under ``load``: P in newtons, phi, theta in degrees. ``layout``: I, II, III or a
+    mirror; ``pull``: load sense, default that of ``load``. Raises InputError, EnvironmentLackError."""
     return simulated_hand(
         [node_id], {node_id: load}, layout=layout, calibrated=calibrated, pull=pull,
         noise_microstrain=noise_microstrain, seed=seed, **bus,
