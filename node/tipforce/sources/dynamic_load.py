@@ -1,5 +1,4 @@
-"""The elastic force at the gauges when the load changes faster than the tip follows: the structure's modes, stepped.
-``tipforce.sensor.dynamics.first_order_hold`` computes the coefficients and documents the theory."""
+"""The elastic force at the gauges by the structure's modes (theory: ``tipforce.sensor.dynamics.first_order_hold``)."""
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

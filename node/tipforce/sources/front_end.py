@@ -32,12 +32,8 @@ def _check(name: str, value: float, above: float = -math.inf) -> float:
 
 
 class Bridge:
-    """A Wheatstone bridge of equal resistors.
-
-    Volts per volt of excitation, e the strain, k the gauge factor: quarter k e / (4 + 2 k e), half (two gauges in
-    neighbouring arms, one in tension, one in compression) k e / 2, full k e. Only the quarter bridge is nonlinear: it
-    measures e / (1 + k e / 2).
-    """
+    """A bridge of equal resistors. Volts per volt, strain e, gauge factor k: quarter k e / (4 + 2 k e), which measures
+    e / (1 + k e / 2); half (neighbouring arms, opposite signs) k e / 2; full k e."""
 
     def __init__(self, kind: str = QUARTER, gauge_factor: float = 2.0, excitation_volts: float = 3.3) -> None:
         if kind not in _ARMS:

@@ -30,12 +30,8 @@ WIRE_BREAK, SUPPLY = 1 << table.FAULT_WIRE_BREAK, 1 << table.FAULT_SUPPLY
 
 
 class IioSource(Source):
-    """The channels of one or more devices, in the order of the gauges.
-
-    ``ends`` are the lowest and the highest count, the same for all. ``supply_fault`` is called every 40 ms and returns
-    whether the bridge supply is out of tolerance. ``scan_period_us`` is the time between scans of a buffer, if known.
-    ``clock`` measures the duration of a read.
-    """
+    """The channels of devices, in the order of the gauges; counts lie between ``ends``. ``supply_fault`` is called
+    every 40 ms: whether the supply is out of tolerance. ``clock`` measures the duration of a read."""
 
     watch_us = WATCH_US
 

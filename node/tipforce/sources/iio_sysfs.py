@@ -220,8 +220,7 @@ def value_of(scan: bytes, offset: int, kind: ScanType) -> int:
 
 
 class BufferedDevice(PolledDevice):
-    """Channels of one device through its buffer; ``trigger`` is a name, or empty. Raises EnvironmentLackError if the
-    device has no buffer or the kernel rejects the set-up."""
+    """A device through its buffer; ``trigger`` may be empty. Raises EnvironmentLackError if it has none, or refuses."""
 
     polled = False
     _fd = -1

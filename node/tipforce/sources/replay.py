@@ -14,12 +14,8 @@ _UNKNOWN_TEMPERATURE = -0x8000
 
 
 class ReplaySource(Source):
-    """Rows of counts at increasing times in microseconds, from the first call of ``read`` on.
-
-    A row of None is a time at which the recording had no reading. ``speed`` 2 plays twice as fast. After the last row
-    there are no readings (so the node reports no data); with ``loop`` the first row follows after the median step.
-    ``temperatures`` in 0.01 degC, one per row. Raises ValueError for no rows, times out of order, a wrong speed.
-    """
+    """Rows of counts (None: no reading) at increasing microseconds from the first ``read`` on; ``temperatures`` in 0.01
+    degC; ``loop``: again after the median step. Raises ValueError for no rows, a wrong order or speed."""
 
     def __init__(
         self,
