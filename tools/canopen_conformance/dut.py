@@ -36,11 +36,8 @@ def _fits(data: bytes, wanted: Wanted) -> bool:
 
 
 class Dut:
-    """One device on a link, with its present node-id. ``product``: of the caller's own cases, if it has any.
-
-    ``pdo_id``: CAN-ID of the PDO that a case has set up. ``upload_index``: object of the upload that it has begun.
-    Received frames that no check has consumed stay pending. An identifier may be one of ``wire.EMCY`` to ``wire.PDO``.
-    """
+    """One device on a link. ``product``: of the caller's own cases; ``pdo_id``, ``upload_index``: of the PDO set up and
+    the upload begun. Received frames stay pending until a check consumes them."""
 
     def __init__(self, link: Link, node_id: int, product: Product | None = None) -> None:
         self.link = link
@@ -164,11 +161,8 @@ class Dut:
             self.reset(self._reset_command)
 
     def measure_resets(self) -> None:
-        """Reset the device. If reset node is slow and reset communication is faster, ``refresh`` uses the latter.
-
-        It restores what the cases change on any device: the communication parameters. Raises LostDeviceError if the
-        device does not boot.
-        """
+        """Reset the device; if reset communication is faster, ``refresh`` uses it: that restores the communication
+        parameters, which the cases change. Raises LostDeviceError if the device does not boot."""
         times_us = {}
         for command in (wire.RESET_NODE, wire.RESET_COMMUNICATION):
             start_us = self.now_us
@@ -316,8 +310,7 @@ class Dut:
         return int(self.number(kind, index, sub))
 
     def put(self, kind: str, index: int, sub: int, value: float, required: bool = False) -> None:
-        """Download a number that the case needs as its precondition: not applicable if the device may refuse it.
-        ``required``: a device whose object can be written must take it."""
+        """Download a precondition of the case: unless ``required``, not applicable if the device refuses it."""
         code = self.try_write(index, sub, struct.pack("<" + kind, value))
         shown = f"{value:g}" if kind == "f" else f"{int(value):X}h"
         if code == Abort.READ_ONLY:
@@ -340,8 +333,7 @@ class Dut:
         self.refuses_bytes(index, sub, struct.pack("<" + kind, value), *codes)
 
     def refuses_bytes(self, index: int, sub: int, data: bytes, *codes: int) -> None:
-        """Check that writing bytes is aborted with one of ``codes``; not applicable if the object is read-only. A
-        device with limits may name these for an invalid value."""
+        """Check that a write is aborted with one of ``codes`` (or of its limits); not applicable if read-only."""
         code = self.try_write(index, sub, data)
         if code == Abort.READ_ONLY and code not in codes:
             raise NotApplicableError(f"{index:04X}h:{sub:02X} cannot be written")
