@@ -1,8 +1,5 @@
-"""One observation of n fingers, or a recording of them on one time axis: values, uncertainties and a validity mask,
-(n, 3) each, for P, phi and theta. ``values`` and ``uncertainties`` are float32, P in newtons, angles in radians;
-``valid`` is int8. An unknown value, or one beyond the space, is 0 with ``valid`` 0 and the largest uncertainty of the
-space; so is the uncertainty of a value where that alone is not known.
-"""
+"""Observations of n fingers, (n, 3) for P (newtons), phi, theta (radians): ``values``, ``uncertainties`` in float32,
+``valid`` int8. What is unknown or beyond the space is 0, not valid, with the largest uncertainty of the space."""
 
 from __future__ import annotations
 
@@ -35,8 +32,7 @@ _GAP_PERIODS = 1.5  # between two samples of a window: more is a gap
 
 
 def observation_space(fingers: int) -> spaces.Dict:
-    """Return the space of ``observation`` for this number of fingers. Raises InputError for a number below 1,
-    EnvironmentLackError where gymnasium is not installed."""
+    """Return the space of ``observation``. Raises InputError below 1 finger, EnvironmentLackError without gymnasium."""
     try:
         from gymnasium import spaces
     except ImportError:
@@ -107,11 +103,8 @@ class Observations:
 
 
 def recorded_observations(log: Log, node_ids: Sequence[int] | None = None) -> Observations:
-    """Return the samples of ``log`` (``tipforce.read_log``) as observations, one for each sample of the first node.
-
-    ``node_ids``: fingers in order, default all of the log. A finger without a sample within half a period of the first
-    finger's is not valid in that observation. Raises InputError for nodes that the log does not have.
-    """
+    """Return the samples of ``log``, one for each sample of the first finger; another without a sample within half its
+    period is not valid there. Raises InputError for nodes that the log does not have."""
     chosen = list(log if node_ids is None else node_ids)
     if not chosen or not set(chosen) <= set(log):
         raise InputError(f"nodes {chosen}: the log has {', '.join(map(str, log)) or 'none'}")

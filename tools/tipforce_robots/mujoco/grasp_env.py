@@ -24,12 +24,8 @@ _STEPS = 20  # of 0.5 ms for one action
 
 
 class GraspEnv(gymnasium.Env[dict[str, Any], npt.NDArray[np.float32]]):
-    """Hold a ball of 30 to 90 g with the asked force, and keep it when it is lifted: an action each 10 ms, for 2 s.
-
-    Action: the force of the gripper's motors over their 6 N, (1,). Observation: ``observation_space(2)``,
-    ``asked_newtons`` (1,). Reward: minus the distance of the true forces on both tips from the asked one, newtons; -100
-    and the end where the ball falls. ``info`` has ``true_newtons`` and ``unseen_newtons`` (2,).
-    """
+    """Hold a ball of 30 to 90 g with ``asked_newtons`` and lift it, 10 ms a step, for 2 s. Action (1,): motor force
+    over 6 N. Reward: minus the distance of the true tip forces from it, N; -100 and the end if the ball falls."""
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (gymnasium's own)
 

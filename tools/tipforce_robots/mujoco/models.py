@@ -35,12 +35,8 @@ _PREFIX = re.compile(r"[A-Za-z0-9_.-]*")
 def fingertip_mjcf(
     prefix: str = "", *, rigid: bool = False, damping_ratio: float = DAMPING_RATIO, geometry: Geometry = FABRICATED
 ) -> str:
-    """Return the MJCF text of a model with one fingertip, to attach to a hand. prefix: in front of every name. rigid:
-    without the joints of the beams. damping_ratio: of the lowest mode.
-
-    Raises InputError for a prefix with other characters than letters, digits, ``_``, ``-`` and ``.``, and a damping
-    ratio that is negative or not finite.
-    """
+    """Return the MJCF text of one fingertip, to attach to a hand; ``damping_ratio``: of the lowest mode. Raises
+    InputError for a prefix not of letters, digits, ``_``, ``-``, ``.``, and a negative or infinite damping ratio."""
     if not _PREFIX.fullmatch(prefix):
         raise InputError(f"prefix {prefix!r}: allowed are letters, digits, _, - and .")
     if not 0.0 <= damping_ratio <= HIGHEST_DAMPING_RATIO:
@@ -92,11 +88,8 @@ size="{_numbers(0.5 * g.h2_m, 0.5 * g.d_m, half_width_m)}" {unseen} />
 
 
 def beam_joints(geometry: Geometry, damping_ratio: float) -> tuple[dict[str, tuple[float, float]], float]:
-    """Return ((stiffness, damping) of the joints ``x``, ``y`` and ``turn``, y of the hinge in metres).
-
-    About the centre of compliance a force along x turns nothing, and a moment moves nothing along x: there the
-    compliance (3, 3) of the beams is diagonal. N/m and N s/m; N m/rad and N m s/rad.
-    """
+    """Return (stiffness, damping) of the joints x, y (N/m, N s/m) and turn (N m/rad, N m s/rad), and y of the hinge,
+    metres: the centre of compliance, about which the compliance (3, 3) of the beams is diagonal."""
     r = geometry.r_m
     arms, vertical = compliances(Frame(geometry))
     (c_v, _, _), (_, c_turn, c_both), (_, _, c_u) = (arms + vertical).tolist()
@@ -150,11 +143,8 @@ _GRASP = f"""<mujoco model="grasp">
 
 
 def grasp_model(rigid: bool = False) -> mujoco.MjModel:
-    """Return a gripper with two fingertips, sites ``thumb_tip`` and ``index_tip``, before a ball of 60 g on a plate.
-
-    Actuators: ``grip_left`` and ``grip_right`` close it, newtons (friction of 0.3 N: the ball gets another force);
-    ``lift``, metres. ``rigid``: without the springs of the tips, which allows longer time steps.
-    """
+    """Return a gripper with sites ``thumb_tip`` and ``index_tip`` before a ball of 60 g; actuators ``grip_left``,
+    ``grip_right`` (N, 0.3 N friction), ``lift`` (m). ``rigid``: without springs of the tips, for longer time steps."""
     return _with_fingertips(_GRASP, FINGERS[:2], rigid)
 
 

@@ -27,13 +27,8 @@ _LONGEST_LAG_S = 0.2
 
 
 class TwinNodes:
-    """``tips`` as nodes on ``bus`` (any ``can.Bus``), at the time of ``data``.
-
-    A context manager that stops them. Time is that of the simulation: either call ``exchange`` after each step, or let
-    the SYNCs of the bus advance the simulation (``follow_sync``: the same frames give the same run, however fast the
-    programs are), or the clock (``follow_clock``). ``on_frame`` gets every received frame, (COB-ID, data): commands to
-    the model's actuators.
-    """
+    """``tips`` as nodes on ``bus`` at the time of ``data``, until the block ends. Call ``exchange`` after each step, or
+    let ``follow_sync`` (reproducible) or ``follow_clock`` step. ``on_frame`` gets received (COB-ID, data)."""
 
     def __init__(
         self,

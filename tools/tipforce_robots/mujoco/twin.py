@@ -1,5 +1,4 @@
-"""Fingertips of a MuJoCo model: whole nodes (``tipforce.fingertip``) whose gauge source reads the contacts of the
-model. Weight and inertia of the tip itself are not in the contacts."""
+"""Whole nodes whose gauges read the contacts of a MuJoCo model, which do not contain the tip's weight and inertia."""
 
 from __future__ import annotations
 
@@ -59,11 +58,8 @@ def _added(
 
 
 class Load:
-    """The load on one tip at one time step; vectors (3,) along x, y and z of the site (``models.py``).
-
-    ``F_newtons``: F1, F2, F3, equation (16), all that the gauges see; ``force_newtons``: the sum of the contact forces,
-    ``sum_newtons`` of their magnitudes; ``moment_newton_metres``: about the site; ``contacts``: their number.
-    """
+    """The load on one tip; vectors (3,) along x, y, z of the site. ``F_newtons``: F1, F2, F3, equation (16), all that
+    the gauges see; ``force_newtons``: sum of the contact forces, ``sum_newtons`` of their magnitudes."""
 
     __slots__ = ("F_newtons", "_rows", "contacts", "force_newtons", "moment_newton_metres", "sum_newtons")
 
@@ -268,8 +264,7 @@ class Fingertips:
         return self._loads
 
     def _wrenches(self, data: mujoco.MjData) -> list[Wrench | None]:
-        """Return the wrench on each finger; None for one without a contact. Torque of a contact (``condim`` 4 and 6)
-        counts. A contact of two fingers loads both, with opposite signs."""
+        """Return the wrench on each finger, None without a contact; a contact of two fingers loads both, oppositely."""
         wrenches: list[Wrench | None] = [None] * len(self._sites)
         if not data.ncon:
             return wrenches

@@ -109,8 +109,7 @@ def loopback_only(environment: Mapping[str, str]) -> bool:
 
 
 def configuration(environment: Mapping[str, str]) -> str:
-    """Return the configuration of Cyclone DDS: that of the user, CYCLONEDDS_URI, between what ROS 2 needs beside it. Of
-    two values Cyclone takes the later one."""
+    """Return Cyclone DDS' configuration, the user's CYCLONEDDS_URI in the middle: of two values the later one wins."""
     local = _LOOPBACK if loopback_only(environment) else ""
     return ",".join(filter(None, (_FAST_DDS, environment.get("CYCLONEDDS_URI", ""), local)))
 
