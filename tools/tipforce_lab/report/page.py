@@ -1,5 +1,4 @@
-"""The report as one self-contained HTML page: no script, no network, readable on a phone and on paper; with one
-work-precision plot per study, as SVG in the page: no script, no style, no URL."""
+"""The report as one self-contained HTML page without script and network, with one plot per study as SVG."""
 
 from __future__ import annotations
 
@@ -27,8 +26,7 @@ if TYPE_CHECKING:
 
 
 def write(report: Report, directory: Path, json_line: Callable[[dict[str, Any]], str]) -> list[Path]:
-    """Write index.html, report.jsonl and a KEY.svg for each study. Raises InputError, WriteError. json_line: from a
-    record to its line of report.jsonl, without the newline."""
+    """Write index.html, report.jsonl (lines by ``json_line``), a KEY.svg per study. Raises InputError, WriteError."""
     items: list[Item] = [*report.studies, *report.grids, *report.cases, *report.left_out]
     records = [text.head_record(report) | text.conclusions(report), *map(text.record, items)]
     lines = "".join(json_line(record) + "\n" for record in records)
@@ -247,8 +245,8 @@ def _draw_series(axes: Axes, study: Study, number: int, floor: float) -> None:
 
 
 def _frame(axes: Axes, study: Study, zero: float | None) -> None:
-    """Show at least two decades on each axis, because a shorter log axis has almost no labels; a band up to the error
-    of the reference, unless that is too far below the points; and a line for errors of zero, if there are any."""
+    """Show at least two decades per axis (labels), a band up to the reference's error, and a line for errors of
+    zero."""
     for (low, high), set_limits in ((axes.get_xlim(), axes.set_xlim), (axes.get_ylim(), axes.set_ylim)):
         short = 2.0 - math.log10(high / low)
         if short > 0.0:

@@ -89,8 +89,7 @@ def _run(
     advance: Callable[[], None],
     known: _Results | None = None,
 ) -> _Results:
-    """Run all methods on these contacts: timed, or with the times of ``known``, whose work is the same. A method that
-    does not run is entered in left_out with the reason, and not tried again."""
+    """Run all methods, timed, or with the times of ``known``; a failing one enters left_out, and is not tried again."""
     results: _Results = {}
     for method, settings in _METHODS.items():
         for setting, prepare in settings.items():
@@ -173,11 +172,8 @@ def _remarks(
 
 
 def contacts(rng: np.random.Generator, k: int, sliding: bool = False, corners: bool = False) -> Contacts:
-    """Return k pushes in any direction: half from a hundredth of the converter's range to all of it, half above 50 %.
-
-    |cos(delta)| is at least 0.1, uniform, or if ``sliding`` 0.001 to 0.1, log-uniform: a nearly tangential force.
-    corners: also those with every gauge at an end of the converter's range.
-    """
+    """Return k pushes in any direction: half log-uniform from 1 % of the range, half above 50 %; |cos(delta)| at least
+    0.1, or ``sliding`` 0.001 to 0.1. corners: also those with every gauge at an end of the range."""
     C, A = calibration_matrix(FABRICATED, CASE), strain_matrix(FABRICATED, CASE)
     phi = rng.uniform(-np.pi, np.pi, k)
     cosine = 10.0 ** rng.uniform(-3.0, -1.0, k) if sliding else rng.uniform(0.1, 1.0, k)
