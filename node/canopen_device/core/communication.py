@@ -24,3 +24,8 @@ MAPPING = RPDO_MAPPING - RPDO  # from a PDO's communication parameter to its map
 # The areas above (7.4.1, table 35): manufacturer-specific, and device profiles.
 FIRST_MANUFACTURER, LAST_MANUFACTURER = 0x2000, 0x5FFF
 FIRST_PROFILE, LAST_PROFILE = 0x6000, 0x9FFF
+
+
+def is_mapping(index: int) -> bool:
+    """Whether an index is a PDO mapping parameter: its sub-index 0 counts mapped objects."""
+    return RPDO_MAPPING <= index <= LAST_RPDO_MAPPING or TPDO_MAPPING <= index <= LAST_TPDO_MAPPING

@@ -224,7 +224,7 @@ class _Reader:
         # CiA 306-1; where CiA 301 has it writable, it is as the entries are.
         if self._index == communication.ERROR_HISTORY:
             zero.access, zero.default = "rw", 0
-        elif standard.is_mapping(self._index):
+        elif communication.is_mapping(self._index):
             zero.access = "rw" if made.entries[1].access.startswith("rw") else "ro"
             zero.default = max((sub for sub, entry in made.entries.items() if entry.initial), default=0)
         made.entries[0] = zero
@@ -250,7 +250,7 @@ class _Reader:
         zero = made.entries[0]
         if zero.type.python is not int:
             self._into.add(zero.line, f"[{index:04X}sub0]: {zero.type.name}; CiA 301 has UNSIGNED8; the type stays")
-        elif standard.is_mapping(index) or index == communication.ERROR_HISTORY or 0 not in self._subs:
+        elif communication.is_mapping(index) or index == communication.ERROR_HISTORY or 0 not in self._subs:
             return
         elif not zero.has_default:
             zero.default = highest
@@ -290,7 +290,7 @@ class _Reader:
         elif expected is not None and (
             # The services of the device compute with it.
             (expected not in "sD" and ((TYPES[letter].limits or (1,))[0] != 0 or letter == "?"))
-            or (sub == 0 and letter != expected and standard.is_mapping(self._index))  # the device counts to it
+            or (sub == 0 and letter != expected and communication.is_mapping(self._index))  # the device counts to it
             or (self._index == communication.STORED_EDS and TYPES[letter].size is not None)
         ):
             section.say("DataType", f"CiA 301 has {TYPES[expected].name}; read as it")

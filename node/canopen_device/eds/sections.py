@@ -2,11 +2,12 @@
 ``KEYS`` are the keys of one form: parser, default, name in an XDD (CiA 306-1, CiA 311)."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from canopen_device.core import communication
 from canopen_device.eds import values
 from canopen_device.errors import InputError
 
@@ -200,6 +201,16 @@ def add_key(file: EdsFile, section: Section, name: str, value: str, number: int)
     section.keys[key] = value.strip()
     section.written[key] = name
     section.lines[key] = number
+
+
+def lists_of(objects: Iterable[int]) -> dict[str, list[int]]:
+    """Return the indices by the section that lists them, ascending."""
+    own = range(communication.FIRST_MANUFACTURER, communication.LAST_MANUFACTURER + 1)
+    groups: dict[str, list[int]] = {"MandatoryObjects": [], "OptionalObjects": [], "ManufacturerObjects": []}
+    for index in sorted(objects):
+        name = "MandatoryObjects" if index in communication.MANDATORY else "OptionalObjects"
+        groups["ManufacturerObjects" if index in own else name].append(index)
+    return groups
 
 
 # --- the keys that have one form -------------------------------------------------------------------------------

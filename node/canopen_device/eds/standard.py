@@ -32,14 +32,9 @@ def standard_letter(index: int, sub: int) -> str | None:
         letters = _PDO_LETTERS
     elif at.SDO_SERVER <= index <= at.SDO_SERVER | 0xFF:
         letters = _SDO_LETTERS
-    elif is_mapping(index):
+    elif at.is_mapping(index):
         letters = _LIST
     return letters[sub : sub + 1] or None
-
-
-def is_mapping(index: int) -> bool:
-    """Return whether an object is the mapping of a PDO."""
-    return at.RPDO_MAPPING <= index <= at.LAST_RPDO_MAPPING or at.TPDO_MAPPING <= index <= at.LAST_TPDO_MAPPING
 
 
 def add_mandatory(eds: Description) -> None:

@@ -1,7 +1,7 @@
 """A device description as XDD (CiA 311), written, and an XDD or XDC read as the sections of an EDS or DCF."""
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
@@ -9,7 +9,16 @@ from xml.sax.saxutils import quoteattr
 from canopen_device.core import communication
 from canopen_device.core.object_dictionary import RPDO, TPDO
 from canopen_device.eds.description import DOMAIN, VAR, Description, Entry, Object
-from canopen_device.eds.sections import KEYS, MOST_LINES, EdsFile, Findings, Section, add_key, open_section
+from canopen_device.eds.sections import (
+    KEYS,
+    MOST_LINES,
+    EdsFile,
+    Findings,
+    Section,
+    add_key,
+    lists_of,
+    open_section,
+)
 from canopen_device.eds.standard import PDOS
 from canopen_device.errors import InputError
 from canopen_device.types import Value
@@ -119,7 +128,7 @@ def xdd_text(described: Description, creator: str = "canopen_device") -> str:
     return _DOCUMENT.format(
         body=f'{body} fileCreationDate="{_DATE}" fileVersion="1"',
         identity="".join(f"        <co:{KEYS[k].xdd}>{quoteattr(t)[1:-1]}</co:{KEYS[k].xdd}>\n" for k, t in identity),
-        counts=" ".join(f'{k[0].lower()}{k[1:]}="{len(listed)}"' for k, listed in _lists(described.objects).items()),
+        counts=" ".join(f'{k[0].lower()}{k[1:]}="{len(listed)}"' for k, listed in lists_of(described.objects).items()),
         objects="".join(line for _, o in sorted(described.objects.items()) for line in _object(o, described.node_id)),
         dummies=dummies,
         highest=max(rates),
@@ -269,7 +278,7 @@ class _Reader:
             if reference is not None and reference not in self._parameters:
                 file.findings.add(line, f"[{name}] uniqueIDRef={reference}: no such parameter; read without")
             _section(file, name, _keys({**self._parameters.get(reference or "", {}), **given}), line)
-        for name, indices in _lists(file.objects).items():
+        for name, indices in lists_of(file.objects).items():
             numbered = {str(number): f"0x{index:04X}" for number, index in enumerate(indices, 1)}
             _section(file, name, {"SupportedObjects": str(len(indices)), **numbered})
         file.content = "\n".join(line for section in file.sections.values() for line in section.text_lines()).encode()
@@ -305,12 +314,3 @@ def _commissioning(given: Attributes) -> dict[str, str]:
     if rate.isascii() and rate.isdigit():
         keys["Baudrate"] = str(int(rate) // _KBIT if int(rate) > _KBIT else int(rate))
     return keys
-
-
-def _lists(objects: Iterable[int]) -> dict[str, list[int]]:
-    own = range(communication.FIRST_MANUFACTURER, communication.LAST_MANUFACTURER + 1)
-    groups: dict[str, list[int]] = {"MandatoryObjects": [], "OptionalObjects": [], "ManufacturerObjects": []}
-    for index in sorted(objects):
-        name = "MandatoryObjects" if index in communication.MANDATORY else "OptionalObjects"
-        groups["ManufacturerObjects" if index in own else name].append(index)
-    return groups

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from canopen_device import types
-from canopen_device.core import communication
+from canopen_device.eds.sections import lists_of
 from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry, entries, objects
 from tipforce.errors import InputError
@@ -100,14 +100,9 @@ def access_text(entry: Entry[Any]) -> str:
 
 def _text(n: int, simulated: bool, converter: Converter, programs: bool, node_id: int | None, values: Values) -> str:
     lines = _general(n, simulated, converter, node_id)
-    lists: dict[str, list[int]] = {"Mandatory": [], "Optional": [], "Manufacturer": []}
     declared = objects(n, simulated, converter, programs)
-    for index in [each.index for each in declared]:
-        own = communication.FIRST_MANUFACTURER <= index <= communication.LAST_MANUFACTURER
-        name = "Mandatory" if index in communication.MANDATORY else "Manufacturer" if own else "Optional"
-        lists[name].append(index)
-    for name, listed in lists.items():
-        lines += [f"[{name}Objects]", f"SupportedObjects={len(listed)}"]
+    for name, listed in lists_of(each.index for each in declared).items():
+        lines += [f"[{name}]", f"SupportedObjects={len(listed)}"]
         lines += [*(f"{k}=0x{index:04X}" for k, index in enumerate(listed, 1)), ""]
     for each in declared:
         if each.code == table.VAR:

@@ -96,12 +96,6 @@ def mapping_signals(mapping: Iterable[tuple[int, int, int]], n: int = 3) -> tupl
     return _unique(signals)
 
 
-def is_mapping(index: int) -> bool:
-    """Whether an index is a PDO mapping parameter: its sub-index 0 counts mapped objects."""
-    received = communication.RPDO_MAPPING <= index <= communication.LAST_RPDO_MAPPING
-    return received or communication.TPDO_MAPPING <= index <= communication.LAST_TPDO_MAPPING
-
-
 def _messages(kind: str, declared: tuple[table.Pdo, ...], n: int) -> tuple[Message, ...]:
     messages = []
     known = entries(n)

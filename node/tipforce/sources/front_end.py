@@ -4,6 +4,7 @@ are ValueErrors that name the argument: this file keeps to the subset that Micro
 
 import math
 
+from tipforce.dictionary import table
 from tipforce.fingertip.source import convert
 
 TYPE_CHECKING = False
@@ -20,7 +21,6 @@ FULL_SCALE_MICROSTRAIN = 3276.8  # of a matched gain: 10 counts per microstrain 
 REFERENCE_DEGC = 23.0
 QUARTER, HALF, FULL = "quarter", "half", "full"
 _ARMS = {QUARTER: 0.25, HALF: 0.5, FULL: 1.0}
-_UNKNOWN_TEMPERATURE = -0x8000
 PER_DECADE = 2  # first-order processes of OneOverFNoise: between its ends the ripple of the spectrum is 0.1 %
 
 
@@ -84,7 +84,7 @@ class Temperature:
     def reading(self, now_us: int) -> int:
         """Return the reading of the node's own sensor, 0.01 degC (2122h); unknown if INTEGER16 cannot hold it."""
         hundredths = 100.0 * self.degrees(now_us)
-        return round(hundredths) if -32767.5 < hundredths < 32767.5 else _UNKNOWN_TEMPERATURE
+        return round(hundredths) if -32767.5 < hundredths < 32767.5 else table.UNKNOWN_I16
 
 
 def _apparent_strain(temperature: Temperature, microstrain_per_degC: "float | Sequence[float]") -> "Part":

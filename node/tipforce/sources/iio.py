@@ -17,7 +17,7 @@ from canopen_device.running.loop import now_us
 from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.fingertip.source import Reading, Source
-from tipforce.sources.iio_sysfs import UNKNOWN_TEMPERATURE, PolledDevice, TimestampError
+from tipforce.sources.iio_sysfs import PolledDevice, TimestampError
 
 _LOG = logging.getLogger(__name__)
 WATCH_US = 40_000  # between two checks if no SYNC takes samples
@@ -59,7 +59,7 @@ class IioSource(Source):
         self._held: Reading | None = None
         self._read_us: int | None = None
         self._inside_us: list[int | None] = [None] * gauges
-        self._temperature, self._temperature_us = UNKNOWN_TEMPERATURE, -TEMPERATURE_US
+        self._temperature, self._temperature_us = table.UNKNOWN_I16, -TEMPERATURE_US
         self._supply, self._supply_us = 0, -WATCH_US
 
     def read(self, now_us: int) -> Reading | None:
@@ -81,8 +81,8 @@ class IioSource(Source):
         faults = self._supply | self._wire_state(counts, now_us)
         if now_us - self._temperature_us >= TEMPERATURE_US:  # of the first sensor: some converters pause for it
             self._temperature_us = now_us
-            known = (value for part in self.parts if (value := part.temperature()) != UNKNOWN_TEMPERATURE)
-            self._temperature = next(known, UNKNOWN_TEMPERATURE)
+            known = (value for part in self.parts if (value := part.temperature()) != table.UNKNOWN_I16)
+            self._temperature = next(known, table.UNKNOWN_I16)
         return Reading(counts, faults, self._temperature)
 
     def due_us(self, now_us: int) -> int:

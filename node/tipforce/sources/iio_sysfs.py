@@ -15,13 +15,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError, InputError
 
 ROOT = Path("/sys/bus/iio/devices")
 _RAW = re.compile(r"in_(voltage\d*(?:-voltage\d+)?(?:_[a-z]\w*?)?)_raw")
 _TEMPERATURE = re.compile(r"in_(temp\d*)_(?:raw|input)")
 _SCAN_TYPE = re.compile(r"(be|le):([su])(\d+)/(\d+)(?:X(\d+))?(?:>>(\d+))?")
-UNKNOWN_TEMPERATURE = -0x8000
 DEVICE_FILES = Path("/dev")
 HRTIMER = Path("/sys/kernel/config/iio/triggers/hrtimer")
 CLOCK = "monotonic"  # of the time stamps: the node's own clock, independent of the time of day
@@ -174,13 +174,13 @@ class PolledDevice:
     def temperature(self) -> int:
         """Return the temperature in 0.01 degC as in 2122h; unknown beyond INTEGER16 and where the read fails."""
         if self._temperature is None:
-            return UNKNOWN_TEMPERATURE
+            return table.UNKNOWN_I16
         try:
             given = self.attribute(self._temperature, "input")
             hundredths = 0.1 * (self.quantity(self._temperature, 1.0) if given is None else given)
         except OSError:
-            return UNKNOWN_TEMPERATURE
-        return round(hundredths) if -32767.5 < hundredths < 32767.5 else UNKNOWN_TEMPERATURE
+            return table.UNKNOWN_I16
+        return round(hundredths) if -32767.5 < hundredths < 32767.5 else table.UNKNOWN_I16
 
     def close(self) -> None:
         """Release the device; here no file stays open."""

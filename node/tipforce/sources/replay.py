@@ -2,6 +2,7 @@
 
 from bisect import bisect_right
 
+from tipforce.dictionary import table
 from tipforce.fingertip.source import Reading, Source
 
 TYPE_CHECKING = False
@@ -9,8 +10,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from tipforce.dictionary.table import Converter
-
-_UNKNOWN_TEMPERATURE = -0x8000
 
 
 class ReplaySource(Source):
@@ -63,4 +62,4 @@ class ReplaySource(Source):
         counts = self._rows[row]
         if counts is None:
             return None
-        return Reading(counts, 0, self._temperatures[row] if self._temperatures else _UNKNOWN_TEMPERATURE)
+        return Reading(counts, 0, self._temperatures[row] if self._temperatures else table.UNKNOWN_I16)

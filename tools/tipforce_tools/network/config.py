@@ -11,7 +11,6 @@ from canopen_device import types
 from canopen_device.core import codes, communication
 from canopen_device.types import Value
 from tipforce.dictionary.entries import Entry
-from tipforce.dictionary.signals import is_mapping
 from tipforce.errors import InputError, SdoAbortError
 from tipforce.host.configuration.device_objects import DeviceObjects, EdsObjects, FingertipObjects
 from tipforce_tools.cli import bus_flags, common
@@ -173,7 +172,7 @@ def _shown(entry: Entry[Value], value: Value) -> str:
         bits = (codes.COB_ID_INVALID, high[0]), (codes.NO_RTR, high[1]), (1 << 29, "29 bits")
         names = [name for bit, name in bits if value & bit and name]
         return f"0x{value:08X} ({', '.join([f'0x{value & codes.STANDARD_MASK:03X}', *names])})"
-    if is_mapping(entry.index) and entry.sub and isinstance(value, int) and value:
+    if communication.is_mapping(entry.index) and entry.sub and isinstance(value, int) and value:
         return f"0x{value:08X} (0x{value >> 16:04X}:{value >> 8 & 0xFF:02X}, {value & 0xFF} bits)"
     try:
         return types.format_value(entry.type, value)

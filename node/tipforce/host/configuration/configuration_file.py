@@ -17,7 +17,6 @@ from canopen_device.toml_table import convert, read_table
 from canopen_device.types import Value
 from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry, describe
-from tipforce.dictionary.signals import is_mapping
 from tipforce.errors import InputError, NoResponseError, SdoAbortError
 from tipforce.host.configuration.device_objects import DeviceObjects, FingertipObjects, Place
 from tipforce.host.network.sdo import Blocking, SdoChannel, finished
@@ -50,7 +49,7 @@ def changed_settings(settings: Mapping[Place, Value], objects: DeviceObjects) ->
     """Return the settings that differ from their default; of a remapped PDO its whole mapping."""
     known = objects.settings
     changed = {place for place, value in settings.items() if not _same(known[place], value, known[place].default)}
-    remapped = {index for index, _ in changed if is_mapping(index)}
+    remapped = {index for index, _ in changed if communication.is_mapping(index)}
     return {
         (index, sub): value
         for (index, sub), value in settings.items()
@@ -75,7 +74,7 @@ def settings_toml(settings: Mapping[Place, Value], objects: DeviceObjects, node_
     known = objects.settings
     written: dict[str, object] = {}
     for (index, sub), value in sorted(settings.items()):
-        if not is_mapping(index):
+        if not communication.is_mapping(index):
             entry, shown = known[index, sub], value
             if isinstance(value, bytes):
                 shown = types.format_value(entry.type, value)
@@ -162,7 +161,7 @@ def _single_values(name: str, value: object, objects: DeviceObjects) -> list[tup
     first = objects.resolve(f"{name}:1")
     # By number from here on: after a dotted name a sub-index is decimal, after an index hexadecimal.
     entries = [objects.resolve(f"0x{first.index:04X}:{k + 1:02X}") for k in range(len(value))]
-    if not is_mapping(first.index):
+    if not communication.is_mapping(first.index):
         return [(entry, _typed(entry, item)) for entry, item in zip(entries, value, strict=True)]
     words = []  # index, sub-index, length in bits (CiA 301, 7.5.2.36)
     for item in value:
@@ -252,7 +251,7 @@ def _entry(index: int, sub: int, letter: str) -> Entry[Value]:
 def apply_differences(sdo: SdoChannel, wanted: Configuration) -> Configuration:
     """Apply only what differs on the node, a PDO mapping as a whole; return what was written. Raises as the above."""
     differing = finished(_differing(Blocking(sdo), wanted))
-    mappings = {index for index, _ in differing if is_mapping(index)}
+    mappings = {index for index, _ in differing if communication.is_mapping(index)}
     written = {
         place: (entry, value)
         for place, (entry, value) in wanted.items()

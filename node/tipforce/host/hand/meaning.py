@@ -10,7 +10,6 @@ from canopen_device.core import codes, communication
 from canopen_device.types import Value
 from tipforce.dictionary import indices, objects, table
 from tipforce.dictionary.entries import Entry, entries
-from tipforce.dictionary.signals import is_mapping
 from tipforce.errors import RefusedError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.configuration_file import Configuration, apply_differences
@@ -63,7 +62,7 @@ def read_meaning(sdo: SdoChannel, gauges: int, places: Collection[Place] | None 
         meaning = {COUNTER: sdo.read(objects.CONFIGURATION_COUNTER)}
         for index, sub in watched(gauges):
             # The number of mapped objects of a PDO comes before its mapping: the rest of it is not used.
-            unused = is_mapping(index) and sub > meaning.get((index, 0), sub)
+            unused = communication.is_mapping(index) and sub > meaning.get((index, 0), sub)
             if unused or (places is not None and (index, sub) not in places):
                 continue
             try:

@@ -11,7 +11,6 @@ from canopen_device.core import communication
 from canopen_device.core.codes import OPERATIONAL, STOPPED
 from tipforce.dictionary import objects
 from tipforce.dictionary.service_texts import NMT_STATES
-from tipforce.dictionary.signals import is_mapping
 from tipforce.errors import NoResponseError, RefusedError, TipforceError
 from tipforce.host.configuration.device_objects import Place
 from tipforce.host.hand import meaning
@@ -203,7 +202,7 @@ class Recovery:
                 return True
             except RefusedError as error:
                 text = f"{text}; {error}"
-        if unusable and not all(is_mapping(index) for index, _ in changes):
+        if unusable and not all(communication.is_mapping(index) for index, _ in changes):
             self._collector.expect(node_id, False)  # its PDO may be off: no row waits for it
         self._trust.refuse(node_id, changes)
         self._say(node_id, "refused", f"another master changed {text}; its values stay unknown until that is undone")
