@@ -110,15 +110,12 @@ def simulated_device(
     application: DeviceApplication | None = None, values: Mapping[Key, Value] | None = None,
     signals: Mapping[Key, Signal] | None = None,
 ) -> Iterator[SimulatedDevice]:  # fmt: skip
-    """Run the device of an EDS, a DCF or "cia402" (the shipped drive) on a bus while the block lasts; yield it after
-    its boot-up message. ``bus`` is that of the master: a ``can.BusABC``, or an object that has one as ``bus`` or
-    ``network.bus``, such as a ``canopen.Network``; the device opens its own connection to a virtual, SocketCAN or
-    multicast bus, and uses any other itself. A text names a SocketCAN interface, a dict holds keywords of ``can.Bus``;
-    without ``bus``, ``device.bus_options`` are those by which this process reaches the device. Parameters are stored in
-    memory. ``values`` are set once, ``signals`` all the time.
+    """Run the device of an EDS, a DCF or "cia402" (the shipped drive) while the block lasts, from its boot-up on.
 
-    Raises InputError for the file, the node-id, a key or a value; EnvironmentLackError for a bus that cannot be opened;
-    at the end of the block, the error that ended the device.
+    ``bus``: the master's ``can.BusABC``, or an object that has it as ``bus`` or ``network.bus`` (``canopen.Network``),
+    to which the device opens a second connection where it can; a SocketCAN interface; keywords of ``can.Bus``; without
+    it ``device.bus_options`` reach the device. ``values`` are set once, ``signals`` all the time. Raises InputError for
+    an argument, EnvironmentLackError for a bus that cannot be opened, and at the end what ended the device.
     """
     with simulated_devices([device_from_file(path, node_id, application, values, signals)], bus) as devices:
         yield devices[0]

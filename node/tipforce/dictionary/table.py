@@ -1,10 +1,8 @@
-"""The object dictionary of a fingertip node, from which every other form (EDS, DBC, docs, accessors, the node's own) is
-generated. Plain tuples in the subset that CPython and MicroPython share, because the node is built from them.
+"""The object dictionary of a fingertip node, from which every other form (EDS, DBC, docs, accessors, the node) is made.
 
 An object is ``(index, object_code, name, slug, entries)``; a run of equal entries is ``(sub, count, name, slug, type,
-access, flags, default, low, high, unit)``. ``name`` and ``default`` are tuples where the entries of one run differ. The
-type is the letter of ``struct``, "s" a VISIBLE_STRING, "D" a DOMAIN. ``table_objects`` has the objects; its
-``objects()`` adds sub-index 0 where an object does not state its own.
+access, flags, default, low, high, unit)``, ``name`` and ``default`` tuples where they differ. ``type`` is a letter of
+``struct``, "s" a VISIBLE_STRING, "D" a DOMAIN. The tuples run on MicroPython too.
 """
 
 from canopen_device.core import codes, communication, object_dictionary

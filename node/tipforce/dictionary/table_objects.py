@@ -26,13 +26,11 @@ if TYPE_CHECKING:
 def objects(
     n: int = 3, simulated: bool = False, converter: "Converter" = CONVERTER_16, programs: bool = False
 ) -> "tuple[Object, ...]":
-    """Every object of a node with ``n`` gauges, by index.
+    """Every object of a node with ``n`` gauges, by index. Raises ValueError for an ``n`` outside 3..8.
 
-    Raises ValueError for an ``n`` outside 3..8. ``simulated`` adds 2200h and 2201h and bit 8 of the product code;
-    ``programs`` the objects of two program slots. ``converter`` is (bits, counts per microstrain), the default of
-    6122h; a third element, (counts at 0, counts at 1000 microstrain) per gauge, gives those of 6120h and 6122h where
-    they differ. With more than 16 bits INTEGER16 cannot hold counts: 7100h, 7120h and 7122h are left out, and bit 9 of
-    the product code is set.
+    ``simulated`` adds 2200h, 2201h and bit 8 of the product code. ``converter`` is (bits, counts per microstrain:
+    6122h), with a third element (counts at 0, at 1000 microstrain) per gauge. Above 16 bits 7100h, 7120h and 7122h,
+    whose INTEGER16 cannot hold counts, are left out, and bit 9 of the product code is set.
     """
     return tuple(sorted(declared(n, simulated, converter, programs)))
 

@@ -25,15 +25,12 @@ _CONTRADICTION, _OVERLOAD = 1 << table.FAULT_CONTRADICTION, 1 << table.FAULT_OVE
 
 
 class Sample:
-    """A reading with the calibration, the scaling and the tare that hold for it; without a reading there is only a
-    status. ``scaling`` has (gain, bias) per gauge: microstrain = gain * counts + bias. ``was_present`` is bit 0 of the
-    sample before, for the hysteresis of contact; ``overloaded`` bit 15 of 2124h (force beyond the overload force),
-    ``was_overloaded`` that of the sample before. ``frozen`` has a bit for each gauge whose reading stands still.
-    ``filtered`` is what a filter makes of the counts; ``ends`` are the converter's ends; ``spans`` the start and end
-    per gauge, microstrain.
+    """A reading with the calibration, scaling and tare that hold for it; without a reading there is only a status.
 
-    A gauge that is saturated, outside its span, frozen or contradicts the others is lost. With more than three gauges
-    the others give the force as long as they have rank 3 (``spared``); status bit 2 and 2124h show the loss.
+    ``scaling``: microstrain = gain * counts + bias per gauge; ``was_present``, ``was_overloaded``: of the sample
+    before; ``frozen``: bits of gauges that stand still; ``filtered``: counts; ``ends``: of the converter. A gauge that
+    is saturated, outside its span, frozen or contradicts the others is lost. With more than three, the others give the
+    force while they have rank 3 (``spared``); status bit 2 and 2124h show the loss.
     """
 
     __slots__ = (

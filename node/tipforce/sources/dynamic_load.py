@@ -12,12 +12,8 @@ if TYPE_CHECKING:
 
 
 class DynamicLoad:
-    """Modes at rest under zero load.
-
-    ``coefficients`` has one (load row, hold, force column) per mode, valid for one step length
-    (``held.node_coefficients(modes, step_s)``): modal load per newton of F1, F2, F3 (3); p11, p12, p21, p22, start and
-    end weight of the position, of the velocity (8); F1, F2, F3 in newtons per modal position (3).
-    """
+    """Modes at rest under zero load, for one step length. ``coefficients`` (``held.node_coefficients(modes, step_s)``)
+    per mode: load row (3), p11, p12, p21, p22, start and end weights (8), F1, F2, F3 per modal position (3)."""
 
     def __init__(self, coefficients: "Coefficients") -> None:
         self.coefficients = coefficients
@@ -52,12 +48,8 @@ class DynamicLoad:
 
 
 class DynamicForces:
-    """The elastic force under ``applied(now_us)``, stepped by ``step_us`` from the time of the first call on.
-
-    ``dynamics`` is built for steps of ``step_us``, which is the sample period of the source (6114h) or an integer
-    fraction of it; within a step the load is linear. It starts in equilibrium under the first load. Steps are also
-    computed for conversions that are not read, so the force does not depend on how often the node reads.
-    """
+    """The elastic force under ``applied(now_us)``, linear within a step, in equilibrium at the first call. ``step_us``
+    divides the sample period. All steps are computed: the force does not depend on how often the node reads."""
 
     def __init__(self, dynamics: "DynamicLoad", applied: "Callable[[int], Forces]", step_us: int) -> None:
         if step_us < 1:

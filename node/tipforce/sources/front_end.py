@@ -175,13 +175,12 @@ class OneOverFNoise:
 
 
 class FrontEnd:
-    """Convert strain in microstrain to counts (``bits`` 16 or 24) through the configured parts, in signal order.
+    """Convert microstrain to counts (``bits`` 16 or 24) by the configured parts, in signal order. Raises ValueError.
 
-    ``bridge`` and ``gain`` with ``reference_volts`` (None: the excitation, a ratiometric converter) set the counts per
-    microstrain; without ``gain`` the full scale is 3276.8 microstrain. ``temperature`` (degC) is the value of 2122h;
-    ``apparent_strain`` (microstrain per degC, one or one per gauge) and ``gain_drift_ppm`` (per degC) need it.
-    ``white_noise`` is in microstrain, ``one_over_f`` in microstrain at 1 Hz, or (that, lowest Hz, highest Hz). Raises
-    ValueError. ``parts`` change the signal; ``converter`` is (bits, counts per microstrain).
+    ``bridge``, ``gain`` and ``reference_volts`` (None: the excitation) set the counts per microstrain; without ``gain``
+    the full scale is 3276.8. ``temperature`` (degC; 2122h), which ``apparent_strain`` (microstrain per degC) and
+    ``gain_drift_ppm`` (per degC) need; ``white_noise`` (microstrain); ``one_over_f``: at 1 Hz, or (that, lowest Hz,
+    highest Hz).
     """
 
     def __init__(

@@ -1,10 +1,8 @@
-"""Gauges on Linux Industrial I/O converters as a node's source: counts, or a fault (2124h), and never a stale value. A
-device that is removed or does not respond, or scans that do not arrive: no data (bit 8); time stamps that do not
-increase: frozen (bit 9); a gauge that stays at an end of the range: wire break (bit 10); a supply channel outside its
-tolerance: supply (bit 11). A device that returns is opened again at the same place.
+"""Gauges on Linux Industrial I/O converters as a node's source: counts, or a fault (2124h), and never a stale value.
 
-Converters of another board are polled through libiio's network daemon (iiod): a round trip for each channel. libiio's
-time-out bounds how long a lost connection blocks the node's loop.
+No data (bit 8): a device that is removed or does not respond, or scans that do not arrive; it is opened again when it
+returns. Frozen (bit 9): time stamps do not increase. Wire break (bit 10): a gauge stays at an end of the range. Supply
+(bit 11): a channel outside its tolerance. Another board is polled through iiod, with libiio's time-out.
 """
 
 from __future__ import annotations

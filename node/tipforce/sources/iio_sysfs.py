@@ -1,10 +1,8 @@
-"""Linux Industrial I/O through sysfs: the present converters, their channels, scales and raw values. The kernel's
-contract is Documentation/ABI/testing/sysfs-bus-iio: (raw + offset) * scale is in millivolts for a voltage and in
-thousandths of a degree Celsius for a temperature. All functions raise OSError if the kernel returns an error.
+"""Linux Industrial I/O through sysfs: the present converters, their channels, scales, raw values and buffers.
 
-Buffered capture follows iio/iio_devbuf and iio/iio_configfs: a trigger starts each scan, which the kernel time-stamps
-and stores. A scan holds the enabled channels in the order of their index, each aligned to its own size, the 64-bit time
-stamp last.
+Documentation/ABI/testing/sysfs-bus-iio: (raw + offset) * scale is in mV or in 0.001 degC; iio/iio_devbuf, iio_configfs:
+a trigger starts each scan, which holds the enabled channels by index, each aligned to its size, the 64-bit time stamp
+last. All functions raise OSError if the kernel returns an error.
 """
 
 import contextlib

@@ -22,13 +22,8 @@ _ROOM_TEMPERATURE = 2300  # 0.01 degC
 
 
 class SimulatedSource(Source):
-    """Gauges of a structure whose strain per newton is ``strain_per_newton``, (n, 3) as rows, under ``load``.
-
-    ``forces`` returns F1, F2, F3 in newtons at the time of a conversion, in place of ``load``; 2201h is rejected then.
-    ``noise_microstrain`` is the standard deviation of white noise on each gauge (0 draws no random numbers),
-    ``offset_microstrain`` the reading of each without load. ``front_end`` converts microstrain to counts, by default an
-    ideal 16-bit converter; ``temperature`` (0.01 degC) is the node's reading.
-    """
+    """Gauges of a structure, ``strain_per_newton`` (n, 3) as rows, under ``load``, or under ``forces``: F1, F2, F3 in
+    newtons at a conversion, then 2201h is rejected. Without noise no random numbers; temperature in 0.01 degC."""
 
     simulated = True
 

@@ -1,10 +1,8 @@
-"""The fingertip as a MuJoCo body in MJCF: outline, mass, tip site, and the compliance of its beams as joints; and two
-models with fingertips, a gripper that grasps a ball and a hand of five fingers of three joints.
+"""The fingertip as a MuJoCo body in MJCF, its beams as joints; a gripper with a ball, and a hand of five fingers.
 
-Axes: x along the horizontal beam, y from the fixture to the tip, z along the width; SI units. The body ``fixture`` has
-its origin in the middle of its mounting face; the site ``tip`` is in the middle of the horizontal beam, where the
-sensor's forces and angles count from. The tip is the half cylinder of ``sensor.dynamics``; the fixture's block is
-assumed, as drawn in docs/mechanics.md. The beams have no mass and touch nothing.
+Axes: x along the horizontal beam, y from the fixture to the tip, z along the width; SI units. Body ``fixture``: origin
+in the middle of its mounting face; site ``tip``: the middle of the horizontal beam, from where forces and angles count.
+The fixture is assumed, as in docs/mechanics.md; the beams have no mass and touch nothing.
 """
 
 from __future__ import annotations

@@ -173,12 +173,11 @@ class TwinSample:
 
 
 class Fingertips:
-    """The fingertips of ``model``: ``sites`` has a site by name of finger; the geoms of its body are the tip's surface.
+    """The fingertips of ``model``: ``sites`` by name of finger; the geoms of its body are the tip's surface.
 
-    ``layout``: of the gauges, see ``tipforce.sensor``. Each node has ``calibration``, by default that of beam theory
-    for contacts that push; ``noise_microstrain`` is the white noise of each gauge, the same in each run with the same
-    ``seed``. ``node_ids`` by finger, default 1, 2, ... Raises InputError for a site that does not exist, one on a body
-    without geoms or with another finger's, node-ids and numbers that are not allowed.
+    ``calibration``: by default beam theory for contacts that push; ``noise_microstrain`` depends on ``seed`` alone;
+    ``node_ids``: by default 1, 2, ... Raises InputError for a site that does not exist, one on a body without geoms or
+    with another finger's, node-ids and numbers that are not allowed.
     """
 
     def __init__(

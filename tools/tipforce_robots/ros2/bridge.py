@@ -1,9 +1,7 @@
-"""Samples of one fingertip as ROS 2 messages, and the state of the hand as diagnostics; the bridge that publishes them
-from a feed; and the file of a hand for ros2_canopen (bus.yml), with EDS files in the dialect of Lely's dcfgen.
+"""Samples of a fingertip as ROS 2 messages, the state of the hand as diagnostics, the bridge from a feed, and bus.yml.
 
-The frame ``<finger>_tip`` has its origin at the centre of the tip: x is the direction of F3 and y of F1
-(docs/mechanics.md), z is normal to the plane of the beams, right-handed. So the force is P (cos phi, sin phi, 0), and
-the torque about the origin r P sin(phi - theta) = r F2, around z.
+The frame ``<finger>_tip`` is at the centre of the tip: x along F3, y along F1 (docs/mechanics.md), right-handed. The
+force is P (cos phi, sin phi, 0), the torque r P sin(phi - theta) = r F2 around z.
 """
 
 from __future__ import annotations
