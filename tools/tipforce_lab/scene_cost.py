@@ -1,5 +1,5 @@
-"""Run time and import time of each part of a scene: the scene with the part against the scene without it. A part that
-others depend on is timed without them, so that each cost is counted once."""
+"""Run time and import time of each part of a scene: the scene with the part against that without it (and without the
+parts that depend on it)."""
 
 import math
 import subprocess
@@ -33,8 +33,7 @@ sample is one node at one SYNC."""
 
 
 def part_costs(scene: schema.Scene, path: Path, samples: int = 300, runs: int = 3) -> dict[str, Cost]:
-    """Measure every part, and "all": their sum, because each part was timed against the rest. ``samples``: of a short
-    run; ``runs``: repetitions, of which the minimum counts."""
+    """Measure every part, and "all": their sum. ``samples``: of a short run; ``runs``: of which the minimum counts."""
     imports = import_times(scene, path)
     ladder = rungs(scene)
     times = measure([step for _, step in ladder], path, samples, runs)
@@ -83,8 +82,7 @@ def _nodes(scene: schema.Scene, **changes: object) -> schema.Scene:
 def _stand_still(scene: schema.Scene) -> schema.Scene:
     loads = []
     for node_id in scene.node_ids:
-        load = scene.load(node_id)
-        if load is not None:
+        if (load := scene.load(node_id)) is not None:
             _, P, phi, theta = max(load.knots, key=lambda knot: knot[1])
             loads.append(schema.Static(nodes=(node_id,), P_N=P, phi_deg=phi, theta_deg=theta))
     return replace(scene, loads=tuple(loads))
@@ -190,8 +188,8 @@ run_scene(scene, Path(sys.argv[2]), 1.5 / (scene.sync_hz or 1.0))
 
 
 def import_times(scene: schema.Scene, path: Path) -> dict[str, float]:
-    """Return the milliseconds of each part's imports, in a separate Python process; by part. A module counts for the
-    first part that lists it; a package of others counts with all its own imports."""
+    """Return the milliseconds of each part's imports in a separate Python process. A module counts for the first part
+    that lists it; a package of others counts with all its own imports."""
     with tempfile.TemporaryDirectory(prefix="tipforce-cost-") as folder:
         text = msgspec.json.encode(_in_folder(scene, Path(folder))).decode()
         words = [sys.executable, "-X", "importtime", "-c", _IMPORT_RUN, text, str(path.parent)]

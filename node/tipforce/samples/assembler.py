@@ -27,8 +27,7 @@ class Assembler:
     """Samples of the nodes whose PDOs are ``pdos``: by identifier the node-id and the layout.
 
     ``needed``: the PDOs with which a sample is complete, with the time of the last; samples without them are dropped.
-    Empty: complete when no PDO can join any more, with the time of the first. Faults (2124h) are held as TPDO4 and EMCY
-    tell them.
+    Empty: complete when no PDO can join any more, with the time of the first.
     """
 
     def __init__(

@@ -1,7 +1,5 @@
 """Figures of merit of a structure, by beam theory and by the frame, and the designs that no other dominates. The
-figures by beam theory are closed formulas of Table 1; optimise any of them, report the others beside it. The condition
-number alone does not contain noise: it is unchanged if every gauge reads half as much.
-"""
+condition number alone does not contain noise: it is unchanged if every gauge reads half as much."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -157,11 +155,8 @@ class Assessment:
 def assess(
     name: str, geometry: Geometry, gauges: Sequence[Gauge], limits: Limits, noise_microstrain: float
 ) -> Assessment:
-    """Return the figures of one structure under the loads of the limits, with their gauge length and slit.
-
-    Points of Table 1 are read at the point itself: a gauge there would reach beyond the beam. Raises InputError for
-    gauges that are not usable.
-    """
+    """Return the figures of one structure under the load of the limits, with their gauge length (0 for points of Table
+    1: a gauge there would reach beyond the beam) and slit. Raises InputError for gauges that are not usable."""
     A, load = gauge_matrix(geometry, gauges), limits.load_newtons
     length_m = 0.0 if any(isinstance(gauge, str) for gauge in gauges) else limits.gauge_length_m
     block = replace(ELASTIC_ROOTS, finite_joint=True)

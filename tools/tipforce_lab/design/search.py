@@ -1,8 +1,6 @@
-"""Search for better structures within a manufacturer's limits: multi-start over dimensions and gauge places. Each
-distribution of the gauges over the faces of the beams (mirror images count once) is one configuration, whose variables
-are continuous: sequential quadratic programming (scipy's SLSQP) from random starts, with exact derivatives (a complex
-step through Table 1).
-"""
+"""Search for better structures within a manufacturer's limits. Each distribution of the gauges over the faces of the
+beams (mirror images count once) is one configuration, whose variables are continuous: scipy's SLSQP from random starts,
+with exact derivatives (a complex step through Table 1)."""
 
 import itertools
 import math
@@ -171,11 +169,8 @@ Raises LinAlgError for a matrix that is not finite or not of rank 3."""
 
 
 def score(objective: Objective, load_newtons: float) -> Score:
-    """Return the logarithm of an objective: u_theta, sqrt(trace(C C^T)), 1 / smallest singular value, or condition.
-
-    A thousandth of the noise is added to the condition number, which alone does not determine the beams' thickness.
-    Raises InputError for an unknown objective.
-    """
+    """Return the logarithm of an objective: u_theta, sqrt(trace(C C^T)), 1 / smallest singular value, or condition with
+    a thousandth of the noise. Raises InputError for an unknown objective."""
     if objective not in OBJECTIVES:
         raise InputError(f"objective {objective!r} is not known: allowed are {', '.join(OBJECTIVES)}")
     if objective in ("theta", "noise"):
@@ -260,11 +255,10 @@ def search(
     seed: int = 0,
     done: Callable[[], None] = lambda: None,
 ) -> list[Design]:
-    """Return the best design of each configuration that has one within the limits, the best first. starts: random
-    starts per configuration; done is called after each.
+    """Return the best design of each configuration that has one within the limits, the best first. done is called after
+    each start.
 
-    Raises InputError for values out of range or if no start ends within the limits, EnvironmentLackError if scipy is
-    missing.
+    Raises InputError for values out of range or if no start ends within the limits, EnvironmentLackError without scipy.
     """
     if starts < 1:
         raise InputError(f"{starts} starts: allowed is 1 or more")
@@ -293,10 +287,9 @@ def trade_off(
     limits: Limits,
     done: Callable[[], None] = lambda: None,
 ) -> list[Design]:
-    """Return designs between the best one for an objective and the one of the least condition number.
-
-    The condition number has a ceiling (TRADE_OFF_STEPS of the way from best to least, as a penalty). Each optimum is
-    the start of the next: downwards from best and others, upwards from least. Raises as search() does.
+    """Return designs between the best one for an objective and the one of the least condition number, which has a
+    ceiling (TRADE_OFF_STEPS of the way, as a penalty). Each optimum is the start of the next: downwards from best and
+    others, upwards from least. Raises as search() does.
     """
     goal, condition = score(objective, limits.load_newtons), score("condition", limits.load_newtons)
     begins = [

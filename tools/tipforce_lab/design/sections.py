@@ -80,11 +80,9 @@ class GrooveErrors:
 def simulate_groove_errors(
     geometry: Geometry, gauges: Layout, noise_strain: float, *, repeats: int, seed: int
 ) -> GrooveErrors:
-    """Return the errors caused by equal, independent, normal gauge noise at the paper's grooves.
-
-    Each repeat fits V = A F by least squares to noisy readings in the grooves between 0 and 90 degrees, as section 4.3
-    does, inverts A, then reads every groove once more. noise_strain: standard deviation per reading of the three
-    gauges.
+    """Return the errors caused by equal, independent, normal gauge noise at the paper's grooves: each repeat fits V = A
+    F to noisy readings in the grooves between 0 and 90 degrees, as section 4.3 does, inverts A, then reads every groove
+    once more. noise_strain: standard deviation per reading of the three gauges.
     """
     A = strain_matrix(geometry, gauges)
     rng, P_newtons, grooves = np.random.default_rng(seed), CALIBRATION_WEIGHT_NEWTONS, paper_grooves()
@@ -131,10 +129,9 @@ def figure_6_section(geometry: Geometry) -> Section:
 def _figure_6_notes(geometry: Geometry) -> list[str]:
     verdicts = []
     for case in CASES:
-        by_shift = [(mm, most_influential(geometry, case, mm * 1e-3)) for mm in (0.01, *SHIFTS_MM[1:])]
-        runs = [f"SG{gauge} at {mm:g} mm" for mm, gauge in by_shift]
-        changes = [run for index, run in enumerate(runs) if index == 0 or by_shift[index][1] != by_shift[index - 1][1]]
-        verdicts.append(f"case {case}: {', then '.join(changes)}")
+        by_shift = [(most_influential(geometry, case, mm * 1e-3), mm) for mm in (0.01, *SHIFTS_MM[1:])]
+        first = [next(run) for _, run in itertools.groupby(by_shift, lambda row: row[0])]
+        verdicts.append(f"case {case}: {', then '.join(f'SG{gauge} at {mm:g} mm' for gauge, mm in first)}")
     return [
         "The paper: the shift of SG3 influences the condition number most. Ours, largest change: "
         + "; ".join(verdicts)

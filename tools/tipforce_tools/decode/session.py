@@ -91,7 +91,6 @@ def _to_dataset(args: Namespace) -> bool:
 
 class _Run:
     def __init__(self, args: Namespace) -> None:
-        """Raises InputError."""
         self._args = args
         self.names = log_choice.logs(args.logs)
         if args.follow and not _to_dataset(args):

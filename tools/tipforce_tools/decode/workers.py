@@ -81,7 +81,6 @@ class Work:
     """What a worker does with one part, in whatever process. An error that a user can cause is returned."""
 
     def __init__(self, number: int, piece: Piece, reading: Reading) -> None:
-        """Decode the part and keep its rows."""
         self._number, self._piece, self._reading = number, piece, reading
         self._part: DecodedPart | Exception
         try:

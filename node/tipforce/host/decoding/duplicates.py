@@ -56,7 +56,6 @@ class Duplicate(NamedTuple):
     product: int = 0
 
     def __str__(self) -> str:
-        """Return one line."""
         if len(self.serials) > 1:
             numbers = ", ".join(map(str, self.serials))
             one = f"{self.serials[-1]}{of_product(self.product)}"

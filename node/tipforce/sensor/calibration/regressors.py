@@ -154,14 +154,15 @@ SMALLEST_RATIO = 1e-7
 LARGEST_SHARE = 0.25
 """Standard uncertainty, as a fraction of the gauges' signal, above which a direction is lost in the noise."""
 FORCES = ("F1", "F2", "F3")
+_EXAMPLES = (
+    "a pull at phi = 90 degrees", "a pull off the centre line (phi not theta)",
+    "a pull at phi = 180 degrees, in an x-groove beyond theta = 90 degrees",
+)  # fmt: skip
 
 
 def require_seen(g: FloatArray, observed: BoolArray, names: Sequence[str], unit_newtons: float) -> None:
-    """Check that the rows determine every unknown of every gauge. g: (m, p), forces in ``unit_newtons``, then the
-    offset's columns. observed: (m, n). names: (p).
-
-    Raises InputError naming each direction that no row sees, and which would.
-    """
+    """Raise InputError naming each direction that no row sees, and which would. g: (m, p), forces in ``unit_newtons``,
+    then the offset's columns. observed: (m, n). names: (p)."""
     for k in range(observed.shape[1]):
         design = g[observed[:, k]]
         padded = np.vstack((design, np.zeros((design.shape[1], design.shape[1]))))
@@ -177,8 +178,8 @@ def require_seen(g: FloatArray, observed: BoolArray, names: Sequence[str], unit_
 
 
 def require_clear(coefficients: FloatArray, covariance: FloatArray, names: Sequence[str], unit_newtons: float) -> None:
-    """Check that noise hides no direction of load or offset. coefficients: (n, 3 or 4), scaled as the design, the
-    offset last. covariance: (n, q, n, q). Raises InputError naming the direction, or the force that looks like zero."""
+    """Raise InputError naming a direction of load or offset that noise hides. coefficients: (n, 3 or 4), scaled as the
+    design, the offset last. covariance: (n, q, n, q)."""
     n, q = coefficients.shape
     signal = np.linalg.norm(coefficients[:, :3], axis=1).max()
     for k in range(n):
@@ -238,11 +239,7 @@ def _sentence(entries: dict[str, float], unit_newtons: float, snap: float) -> st
     lead = force[np.flatnonzero(force)[0]]
     along = _sum(force / lead)
     value = -constant / lead
-    example = (
-        "a pull at phi = 90 degrees",
-        "a pull off the centre line (phi not theta)",
-        "a pull at phi = 180 degrees, in an x-groove beyond theta = 90 degrees",
-    )[int(np.argmax(np.abs(force) * [1.0, 1.01, 1.02]))]
+    example = _EXAMPLES[int(np.argmax(np.abs(force) * [1.0, 1.01, 1.02]))]
     if value == 0.0:
         return f"{along} is {about}0 N in every row: add a load with another {along}, such as {example}"
     return (

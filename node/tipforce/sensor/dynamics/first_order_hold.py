@@ -1,18 +1,14 @@
-"""Exact stepping of the structure under a load that is linear between its samples: first-order hold, the default.
-
-Exact for such a load at any step: no stability limit, no phase error, no numerical damping. The only error for a
-smooth load is that of its linear interpolation, step^2 / 8 times its curvature.
-
-A mode in its own time tau = omega t and in units of its static response z:
+"""Exact stepping of the structure under a load that is linear between its samples: first-order hold, at any step. The
+only error for a smooth load is that of its linear interpolation, step^2 / 8 times its curvature. A mode in its own time
+tau = omega t and in units of its static response z:
 
     z'' + 2 zeta z' + z = g(tau),  state (z, w = z'),  x = omega h
 
     z1 = p11 z + p12 w + b10 g0 + b11 g1,    w1 = p21 z + p22 w + b20 g0 + b21 g1
 
 With s the impulse response, I0 its integral (the step response) and J the integral of that: p11 = 1 - I0, p12 = s,
-p21 = -s, p22 = 1 - I0 - 2 zeta s; b11 = J / x, b10 = I0 - J / x, b21 = I0 / x, b20 = s - I0 / x. If the textbook's
-differences of nearly equal numbers would lose digits, another form of the same functions is used: a power series for
-short steps, two decaying exponentials for strong damping."""
+p21 = -s, p22 = 1 - I0 - 2 zeta s; b11 = J / x, b10 = I0 - J / x, b21 = I0 / x, b20 = s - I0 / x. Where differences of
+nearly equal numbers would lose digits: a power series for short steps, two exponentials for strong damping."""
 
 import math
 from typing import NamedTuple
@@ -166,11 +162,9 @@ def node_coefficients(modes: Modes, step_s: float) -> Coefficients:
 
 
 def respond(modes: Modes, loads_newtons: npt.ArrayLike, step_s: float, start: State | None = None) -> Response:
-    """Return the elastic force at every sample of a load (m, 3), ``step_s`` apart, m at least 1. start: the state at
-    the first sample, ``at_rest`` if None.
-
-    After a load that is not finite the force is not, either. Raises InputError for shapes that do not fit, or a step
-    out of range.
+    """Return the elastic force at every sample of a load (m, 3), ``step_s`` apart, m at least 1; not finite after a
+    load that is not. start: the state at the first sample, ``at_rest`` if None. Raises InputError for other shapes, or
+    a step out of range.
     """
     F = checked_loads(loads_newtons)
     held = np.array(holds(modes, step_s))
@@ -190,10 +184,9 @@ def checked_loads(loads_newtons: npt.ArrayLike) -> FloatArray:
 
 
 def _scan(held: FloatArray, drive: FloatArray, start: State) -> tuple[FloatArray, FloatArray]:
-    """Return all states (m, n) of the recurrence, in blocks: about 2 sqrt(m) passes through Python instead of m.
-
-    All blocks start from zero at once; then the state at the end of each is carried to the next, its free motion added
-    by powers of the step's matrix. Multiples of the step would round, which thousands of radians per step would show.
+    """Return all states (m, n) of the recurrence, in blocks, 2 sqrt(m) passes through Python instead of m: all start
+    from zero at once, then the state at the end of each is carried to the next, its free motion by powers of the step's
+    matrix (multiples of the step would round, which thousands of radians per step would show).
     """
     steps, n = drive.shape[1:]
     if steps == 0:
