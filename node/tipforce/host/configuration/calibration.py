@@ -39,12 +39,8 @@ _SUSPECTS = {
 
 
 def _row(index: int, sub: int = 0, shape: tuple[int | str, ...] = (), key: str = "") -> dict[str, Any]:
-    """What the table says of a field beside its name, type and default.
-
-    ``place`` in the dictionary: the order of a record; index 0: a node does not hold it. ``shape`` of an array: "n" is
-    the number of gauges; of a covariance of gauges a record has the upper triangle. ``key`` in a file, where it is not
-    the name of the field in microstrain.
-    """
+    """What the table says of a field: its place in the dictionary (index 0: a node does not hold it), ``shape`` ("n":
+    number of gauges), and ``key`` in a file where that is not the field's name in microstrain."""
     return {"place": (index, sub), "shape": shape, "key": key}
 
 
@@ -138,12 +134,11 @@ class Calibration:
         pull: bool = False,
         **facts: Any,
     ) -> Calibration:
-        """A calibration from numbers in microstrain: F = matrix (microstrain - offset). matrix: (3, n), N per
-        microstrain; offset: (n,), None for zero; covariance: (n, n), microstrain^2, of the gauges' noise; or noise: its
-        standard deviation, (n,) or one for all.
+        """A calibration in microstrain: F = matrix (microstrain - offset).
 
-        ``facts``: other fields by name (serial, date, ...). Raises InputError for shapes, numbers that are not finite,
-        a matrix without rank 3, a covariance that is none, or is missing.
+        matrix: (3, n), N per microstrain; offset: (n,), None for zero; covariance of the noise: (n, n), or ``noise``,
+        its standard deviation, (n,) or one; ``facts``: other fields. Raises InputError for shapes, numbers that are not
+        finite, no rank 3, and a covariance that is none, or is missing.
         """
         with np.errstate(over="ignore"):  # check() refuses the infinity
             C = _array("matrix", matrix) * 1e6

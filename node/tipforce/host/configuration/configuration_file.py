@@ -1,5 +1,4 @@
-"""Settings of a node: read, compare and write them as TOML; apply a file (TOML or DCF) in the order of CiA 301.
-``tipforce calibrate`` transfers the calibration of a fingertip, protected by its CRC-32; it is none of the settings."""
+"""Settings of a node as TOML: read, compare, and apply a file (TOML or DCF) in the order of CiA 301. No calibration."""
 
 from __future__ import annotations
 
@@ -25,12 +24,8 @@ from tipforce.host.network.sdo import Blocking, SdoChannel, finished
 def read_settings(
     sdo: SdoChannel, objects: DeviceObjects, advance: Callable[[], None] = lambda: None
 ) -> dict[Place, Value]:
-    """Return every setting of a node, without objects that it lacks.
-
-    ``advance()`` after each read. Raises NoResponseError; for a fingertip also SdoAbortError for any other abort. What
-    another device does not provide as its EDS has it is left out, and a text outside ASCII, which could not be written
-    back.
-    """
+    """Return every setting that a node has; ``advance()`` after each. Raises NoResponseError, for a fingertip also
+    SdoAbortError. What another device does not give as in its EDS, or a text outside ASCII, is left out."""
     values: dict[Place, Value] = {}
     for place, entry in objects.settings.items():
         try:

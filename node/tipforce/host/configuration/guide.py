@@ -1,8 +1,6 @@
-"""The steps of a guided calibration, loads and unloaded readings between them, and the session of their readings. The
-steps are those of the paper, or of a plan file (`tipforce calibrate guide --help`). A session is a CSV of measurements,
-one row per step, on disk before the next step begins. It has besides the columns of every measurement file: ``step``
-(number in the plan, or extra), ``serial``, ``taken`` (UTC), ``var_j_k_ue2``, the covariance of one reading.
-"""
+"""The steps of a guided calibration (the paper's, or a plan file), and the session of their readings: a CSV of
+measurements, a row per step, on disk before the next begins, also with ``step`` (in the plan, or extra), ``serial``,
+``taken`` (UTC), and ``var_j_k_ue2``, the covariance of one reading."""
 
 from __future__ import annotations
 

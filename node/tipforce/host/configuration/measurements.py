@@ -144,12 +144,11 @@ class Measurements:
 
 
 def read_measurements(path: str | Path, *, loads: bool) -> Measurements:
-    """Read a CSV file of measurements; loads: the columns P_N, phi_deg, theta_deg are required.
+    """Read a CSV file of measurements: SG1..SGn, SG1_ue.. or e1_ue.. in microstrain, n = 3 to 8.
 
-    Gauge columns SG1..SGn, SG1_ue.. (of a decoded log) or e1_ue.. in microstrain, n = 3 to 8; optional t_s,
-    temperature_degC, weight, mode (push, pull, tare). A row that cannot be used is in ``bad`` with its line and reason.
-    Raises InputError for a file that is not readable, empty, not UTF-8, a header with a missing or duplicate column, a
-    decoded log with estimates beside the gauges, or one of several nodes.
+    ``loads``: P_N, phi_deg, theta_deg are required. Optional: t_s, temperature_degC, weight, mode (push, pull, tare).
+    Unusable rows are in ``bad`` with line and reason. Raises InputError for an unusable file or header, a log with
+    estimates beside the gauges, or one of several nodes.
     """
     lines = _lines(path)
     places, mode, count, ignored = _header(path, lines[0], loads)

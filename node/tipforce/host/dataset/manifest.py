@@ -1,7 +1,6 @@
-"""The manifest of a dataset: which parts of which logs it holds, in which files, and where each log continues. One JSON
-file per generation in ``DIR/_tipforce``. A new generation is created only if nobody else created it, so of two writers
-one commits and the other merges its changes, or gives up if both changed the same log.
-"""
+"""The manifest of a dataset: parts of logs, their files, and where each log continues; one JSON file per generation in
+``DIR/_tipforce``. A generation is created only once: of two writers one commits, the other merges its changes, or gives
+up if both changed the same log."""
 
 from __future__ import annotations
 

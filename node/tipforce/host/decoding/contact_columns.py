@@ -125,12 +125,8 @@ def of_samples(
     estimator: Estimator, columns: Mapping[str, npt.NDArray[Any]], microstrain: FloatArray,
     status: npt.NDArray[np.uint16], history: History, t_ns: npt.NDArray[np.int64] | None = None,
 ) -> tuple[npt.NDArray[np.intp], Contacts]:  # fmt: skip
-    """The rows of k samples of a node whose gauges can be read, (m,), and their contacts; history goes on.
-
-    ``columns`` by name of a signal, ``microstrain`` (k, n), ``status``: as the node sent them; ``t_ns``: for the age of
-    the tare, since the first sample. The temperature is the last that was sent. Where the node left a gauge out and
-    neither the reading, TPDO4, EMCY nor the other gauges show which, a sample has no row.
-    """
+    """The rows of k samples whose gauges can be read, (m,), and their contacts; history goes on. ``microstrain``: (k,
+    n); ``t_ns``: for the tare's age. A sample without a gauge, where nothing shows which, has no row."""
     calibration, k = estimator.judge.calibration, len(status)
     temperature = history.temperatures(columns, k)
     lost = lost_gauges(columns, microstrain.shape) | judged.at_end(microstrain)
@@ -188,11 +184,8 @@ def gauges_of(calibrations: Mapping[int | None, Calibration]) -> int:
 def estimates(
     calibration: Calibration, data: Measurements, saturation_microstrain: float | None = None
 ) -> Iterator[tuple[int, list[float], str]]:
-    """Yield (line, [P_N, phi_deg, theta_deg, u_P_N, u_phi_deg, u_theta_deg], status) of each good row, in order.
-
-    The uncertainty has the calibration's part where ``calibration.parameter_covariance`` is there.
-    NaN is unknown; phi and theta are unknown where the status byte of a node would make them so.
-    """
+    """Yield (line, [P_N, phi_deg, theta_deg, u_P_N, u_phi_deg, u_theta_deg], status) of each good row; NaN: unknown, as
+    on a node. With ``calibration.parameter_covariance`` the uncertainty includes the calibration's."""
     weight = np.ones(len(data.line)) if data.weight is None else data.weight
     tares = _tares(data, weight, calibration)
     if saturation_microstrain is not None:
@@ -224,9 +217,8 @@ def estimates(
 def _tares(
     data: Measurements, weight: FloatArray, calibration: Calibration
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """From the unloaded readings, those that follow each other averaged and compensated where the temperature is known:
-    the offset of each row (m, n), interpolated, its noise in units of one reading's variance, and the time to the
-    nearest tare, in rows where there are no times, (m,) each. None without unloaded readings."""
+    """From the unloaded readings: the offset of each row (m, n), interpolated, its noise in variances of one reading,
+    and the time, or rows, to the nearest tare, (m,) each. None without unloaded readings."""
     from tipforce.sensor.calibration.regressors import tare_groups  # not where a log is read
 
     groups = tare_groups(data.unloaded, np.ones(len(data.line), dtype=np.bool_))

@@ -99,12 +99,8 @@ def slots_of(plan: Plan, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint3
 
 @dataclass(slots=True, eq=False)
 class Samples:
-    """k samples of one message of one node, in the order of the input.
-
-    ``t_ns`` (k,) is the receive time, ``row`` (k,) the index of the frame. ``columns`` by signal name, each (k,):
-    measurements as float64 in the signal's unit with NaN for unknown, flags as bool, counters and registers as
-    integers. ``message`` has their units.
-    """
+    """k samples of a message of a node: ``t_ns`` received, ``row`` of the frame, ``columns`` by signal, (k,) each:
+    float64 in the signal's unit, NaN for unknown; flags bool; counters integers. ``message`` has their units."""
 
     node_id: int
     message: Message
@@ -123,11 +119,8 @@ class Change:
 
 
 class Decoder:
-    """Decode the TPDOs of nodes with ``n`` gauges, by the default PDOs of docs/objects.md unless changed by ``remap``.
-
-    ``malformed`` counts, by (node-id, message name), frames shorter than their mapping, which are not decoded (a node
-    reports such an RPDO as EMCY 8210h). Extra bytes of longer ones are ignored.
-    """
+    """Decode the TPDOs of nodes with ``n`` gauges, by default as in docs/objects.md. ``malformed``: by (node-id,
+    message) frames shorter than their mapping, not decoded (a node's EMCY 8210h); extra bytes are ignored."""
 
     def __init__(self, n: int = 3, node_ids: Iterable[int] = range(1, 128)) -> None:
         """Raises InputError for an ``n`` outside 3..8 or a node-id outside 1..127."""
@@ -186,12 +179,8 @@ class Decoder:
         return dict(self._messages)
 
     def remap(self, node_id: int, name: str, can_id: int, mapping: Iterable[tuple[int, int, int]]) -> None:
-        """Receive message ``name`` of one node on ``can_id`` (0: not at all) with ``mapping`` (index, sub, bits); it
-        then no longer selects a default PDO, even of an absent node.
-
-        Raises InputError, with no change, for another node or message, an identifier outside 1..0x7FF or in use, a
-        mapping that ``mapping_signals`` rejects.
-        """
+        """Receive message ``name`` of a node on ``can_id`` (0: not at all), in place of a default PDO there. Raises
+        InputError, with no change, for a message, an identifier (1..0x7FF, not in use) or a mapping."""
         key = node_id, name
         if key not in self._messages:
             names = ", ".join(message.name for message in tpdo_messages(self._n))
@@ -252,12 +241,8 @@ def unwrap_counter(counter: npt.ArrayLike, modulus: int = 256) -> npt.NDArray[np
 
 
 def lost_samples(counter: npt.ArrayLike, modulus: int = 256) -> int:
-    """Return the number of samples missing from the counter (k,) of a PDO that is sent on every SYNC.
-
-    ``modulus``: 256, or the largest number of the SYNCs (1019h), after which they go on from 1; 0 is then no SYNC's
-    latch. A repeated value is no loss. 255 or 256 samples lost in a row do not show; a frame out of order counts as
-    254.
-    """
+    """Return how many samples of a PDO at every SYNC are missing, by its counter (k,). ``modulus``: 256, or the largest
+    SYNC number (1019h), then from 1. 255 or 256 lost in a row do not show; one out of order counts as 254."""
     values = np.asarray(counter, dtype=np.int64)
     steps = np.diff(values if modulus == 256 else values[values > 0]) % modulus
     return int(np.maximum(steps - 1, 0).sum())

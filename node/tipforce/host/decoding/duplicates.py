@@ -1,6 +1,5 @@
-"""Detect two nodes with one node-id by what they send. A frame may be lost, late or repeated by the bus, so a finding
-needs a row of second responses, boot-ups or heartbeats, except two serial numbers (1018h:4) in response to one read.
-"""
+"""Detect two nodes with one node-id. Frames may be lost, late or repeated, so it needs a row of second responses,
+boot-ups or heartbeats, except for two serial numbers (1018h:4) in response to one read."""
 
 from __future__ import annotations
 

@@ -68,11 +68,8 @@ _STORED_GROUPS = (1, 2)  # sub-indices of 1010h and 1011h with the communication
 
 
 class EdsDecoder(Decoder):
-    """Decode the PDOs of (node-id, EDS or DCF), from the layout after power-on.
-
-    ``changes`` finds the confirmed SDO writes of PDO parameters in the frames, and boot-ups, after which the stored
-    parameters apply: those at the last write of "save", otherwise those of the file.
-    """
+    """Decode the PDOs of (node-id, EDS or DCF), from the layout after power-on. ``changes`` takes confirmed SDO writes
+    of PDO parameters, and boot-ups, after which those of the last "save", or the file's, apply."""
 
     def __init__(self, files: Iterable[tuple[int, str]]) -> None:
         """Raises InputError as ``read_eds``."""

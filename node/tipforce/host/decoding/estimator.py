@@ -142,11 +142,10 @@ class Estimator:
     ) -> Contact | Contacts:  # fmt: skip
         """Return the ``Contact`` of one reading (n,), or the ``Contacts`` of k readings (k, n), microstrain.
 
-        ``temperature_degC``: one number or (k,), NaN or None where it is not known. ``lost``: bits of gauges that
-        something else says have failed, one integer or (k,). ``was_present``, ``was_overloaded``: of the sample before
-        the first. ``out``: ``Contacts.empty(k)``, to be filled and returned. A reading that is not finite, or over 1e6
-        microstrain, makes all unknown. In a table, a gauge that stands still for longer than its noise allows counts
-        as lost; one reading does not show it. Raises InputError for other shapes and types.
+        ``temperature_degC``: one or (k,), NaN or None: not known; ``lost``: bits of failed gauges, one or (k,);
+        ``was_...``: of the sample before; ``out``: filled and returned. What is not finite or over 1e6 microstrain
+        makes all unknown; in a table a gauge that stands still too long is lost. Raises InputError for other shapes and
+        types.
         """
         n = self.gauges
         if type(microstrain) in {list, tuple} and set(map(type, microstrain)) == {float}:  # type: ignore[arg-type]
@@ -363,11 +362,8 @@ def estimate(
     calibration: Calibration, microstrain: npt.ArrayLike, *, temperature_degC: npt.ArrayLike | None = None,
     lost: npt.ArrayLike | None = None, was_present: bool = False,
 ) -> Contacts:  # fmt: skip
-    """Contact, standard uncertainties and status of gauge readings, as `tipforce estimate` gives them.
-
-    microstrain: (k, n) of n gauges in time order, or (n,) for one reading; the rest, and the errors, as of an
-    ``Estimator``, to be prepared for many calls or single readings.
-    """
+    """Contact, standard uncertainties and status of readings, as `tipforce estimate`. microstrain: (k, n) in time
+    order, or (n,); the rest, and the errors, as of an ``Estimator``, to be prepared for many calls."""
     readings, bits = np.atleast_2d(floats("microstrain", microstrain)), 0 if lost is None else lost
     estimator = prepared(calibration)
     contacts: Contacts = estimator(readings, temperature_degC=temperature_degC, lost=bits, was_present=was_present)

@@ -266,11 +266,8 @@ def at_end(microstrain: FloatArray) -> IntArray:
 
 
 def frozen_gauges(calibration: Calibration, strain: FloatArray, weight: FloatArray | None = None) -> IntArray | None:
-    """Bits of the gauges that repeat one reading more often than their noise allows, (m,); None: none does.
-
-    strain: (m, n) in time order, all of a table; weight: (m,), readings that a row averages. The smallest step is the
-    resolution: a gauge with less noise may repeat itself. All rows of a run are marked, unlike on a node.
-    """
+    """Bits of gauges that repeat a reading more often than their noise allows, (m,), or None. strain: (m, n) in time
+    order; weight: (m,), readings per row. The smallest step is the resolution; all rows of a run are marked."""
     if len(strain) <= FROZEN_READINGS:
         return None
     still = strain[1:] == strain[:-1]

@@ -93,12 +93,8 @@ class NodeLog(Contacts):
 
 
 class Log(Mapping[int, NodeLog]):
-    """Samples of a log by node-id: ``log[5].P_newtons``.
-
-    ``lost``: by node-id the number of missing samples, by their counters. ``bad_lines``: lines that are not frames.
-    ``unseen``: node-ids without a calibration here of which neither TPDO4 nor EMCY told bits 12 to 15 of 2124h, so that
-    contradicting gauges, extrapolation, temperature and overload could not be seen.
-    """
+    """Samples of a log by node-id: ``log[5].P_newtons``. ``lost``: missing samples by node-id; ``bad_lines``: no
+    frames; ``unseen``: uncalibrated node-ids of which neither TPDO4 nor EMCY told bits 12 to 15 of 2124h."""
 
     def __init__(
         self, nodes: Mapping[int, NodeLog], lost: Mapping[int, int], bad_lines: int, unseen: Iterable[int] = ()
@@ -160,13 +156,11 @@ def read_log(
     channel: str | None = None,
     strict: bool = False,
 ) -> Log:
-    """Decode a log of any format that `tipforce decode` reads; several in sequence, also by a pattern: "run*.log".
+    """Decode one or more logs of any format that `tipforce decode` reads, in sequence, also by a pattern: "run*.log".
 
-    ``calibration``: one, or by node-id: P, phi and theta are estimated from the gauges if the log has all of them;
-    otherwise it gives the uncertainties of the node's values. ``gauges``: number per node (default: the calibration's,
-    else 3). ``channel``: one of several buses in the log. ``strict``: raise at the first bad line.
-    Raises InputError for a log that can't be read or has no frame, an unknown channel, one node on two buses, and a
-    calibration with other gauges.
+    ``calibration``: one, or by node-id: with all gauges P, phi and theta are estimated, else their uncertainties.
+    ``gauges``: default the calibration's, or 3. ``channel``: of several buses. ``strict``: raise at the first bad line.
+    Raises InputError for an unusable log, no frame, an unknown channel, a node on two buses, other gauges.
     """
     from tipforce.host.dataset.reader import tables_of_logs  # its import costs time
 

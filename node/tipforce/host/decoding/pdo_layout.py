@@ -83,12 +83,8 @@ def _layout(place: str, node_id: int, number: Callable[[int, int], int | None]) 
 
 
 def dbc_messages(path: str | Path) -> dict[Key, tuple[int, Message]]:
-    """Return the messages of a DBC (or what cantools reads), for ``Decoder.of_messages``.
-
-    One named as in tipforce's own DBC, TIP05_Contact, has the key (5, "Contact"); any other (0, its name). A value
-    named "unknown" becomes NaN. Multiplexed signals and containers are skipped. Raises InputError for the file, and
-    signals beyond byte eight.
-    """
+    """Return the messages of a DBC for ``Decoder.of_messages``: tipforce's TIP05_Contact has the key (5, "Contact"),
+    any other (0, name). "unknown" becomes NaN, multiplexed signals are skipped. Raises InputError."""
     import cantools
 
     try:
@@ -166,11 +162,8 @@ _SUFFIXES = ("_N", "_deg", "_ue", "_degC")
 
 @dataclass(frozen=True, slots=True)
 class Layouts:
-    """A description that can be sent to another process.
-
-    ``nodes`` None means all of them. ``pdos``: by node-id the PDOs that differ from the default, as (message name,
-    can_id, mapping). ``eds``: (node-id, EDS or DCF) of devices of any manufacturer; then only their PDOs are decoded.
-    """
+    """A description for another process. ``nodes``: None for all; ``pdos``: (message, can_id, mapping) by node-id where
+    not the default; ``eds``: (node-id, file) of devices of any manufacturer, whose PDOs alone are decoded then."""
 
     gauges: int = 3
     nodes: tuple[int, ...] | None = None

@@ -1,8 +1,6 @@
-"""The tables of a recording, from consecutive logs or from parts that are decoded apart: the same as from one log. A
-part decoded before those in front lacks their ``State``. So its first frames, the head, only bring the decoder into
-its state, and are decoded again after the parts in front. Where that ends in the same state, the rows behind the head
-are right, but for counters and faults; otherwise the whole part is decoded again.
-"""
+"""The tables of a recording from logs in sequence, or from parts that are decoded apart, with the same result. The head
+of a part is decoded again after the parts in front; if that ends in the same ``State``, the rows behind it are right
+(except counters and faults), else the whole part is decoded again."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
-"""The PDOs of one latch become a sample of their node: the one rule for a finger, a page and a log. A PDO that follows
-SYNC continues the node's sample if the counter is the same, the PDO a later one and the gap small. An event-driven PDO
-joins the node's last sample if that has the same counter, and no PDO of its kind. Every other PDO is a sample alone.
-"""
+"""The one rule by which PDOs of a latch become a sample. A PDO that follows SYNC continues the sample if the counter is
+the same, the PDO a later one and the gap small; an event-driven PDO joins the last sample if that has its counter and
+no PDO of its kind. Every other PDO is a sample alone."""
 
 from collections import Counter
 from collections.abc import Iterable

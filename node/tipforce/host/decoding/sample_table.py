@@ -57,10 +57,8 @@ class Column:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """k rows, each a sample of one node, in the order of their first frames. (k,) each: ``t_ns`` of the first frame;
-    ``key`` channel and node; ``counter`` or NO_COUNTER; ``cyclic``: with a PDO that follows SYNC; ``values`` by column
-    name: real float64 with NaN for missing, flag int8 with NO_FLAG, integer int64 with NO_INTEGER; ``absent``: by
-    column name, where no frame carried it, if anywhere."""
+    """k samples by their first frames, (k,): ``t_ns``; ``key`` channel and node; ``counter`` or NO_COUNTER; ``cyclic``:
+    with a PDO that follows SYNC; ``values`` by column (NaN, NO_FLAG, NO_INTEGER); ``absent``: carried by no frame."""
 
     t_ns: npt.NDArray[np.int64]
     key: npt.NDArray[np.uint16]

@@ -210,11 +210,8 @@ class Hand:
         return self._delivery.error
 
     def tare(self, finger: str | int) -> str:
-        """Take the present force of a finger (its name or node-id) as zero; return its tare as text.
-
-        A tare by another master, or by ``connection``, is a change that ``foreign_changes`` decides on. Raises
-        InputError for an unknown finger, NoResponseError, and SdoAbortError if the finger has no force now.
-        """
+        """Take the present force of a finger as zero; return its tare as text. ``foreign_changes`` decides on a tare by
+        others or ``connection``. Raises InputError, NoResponseError, SdoAbortError without a force now."""
         for plan in self.file.finger:
             if finger in (plan.node_id, plan.name):
                 return self._recovery.tare(plan.node_id)

@@ -144,11 +144,8 @@ class Recovery:
             self._overflow_before.setdefault(finger.node_id, before)
 
     def _learn(self, node_id: int, *, set_up_now: bool = False) -> bool:
-        """Read what the values of a finger mean, and show them; return False if that is not as in the hand file.
-
-        ``set_up_now``: the settings of the hand file have just been compared. What has no part in the values is taken
-        to be as before, until it is read while they are shown.
-        """
+        """Read what the values of a finger mean, and show them; False if not as in the hand file. ``set_up_now``: its
+        settings have just been compared. What has no part in the values is read while they are shown."""
         plan, known = self._plans[node_id], self._trust.known(node_id)
         later: set[Place] = set()
         if set_up_now and known:

@@ -1,8 +1,6 @@
-"""Whether the hand knows what the values of its fingers mean, judged from the frames in the order of the bus.
-``known``: what it has read and accepted of each watched object. A download or a command to the finger, by whomever,
-makes what it may change unsure, until an SDO response or a health PDO says what that is. Values are shown while no
-object is unsure. An object that is seen otherwise is a change, on which ``foreign_changes`` decides.
-"""
+"""Whether the hand knows what its fingers' values mean, judged from the frames in order. ``known``: what it accepted of
+each watched object. A download or command makes what it may change unsure, until an SDO response or a health PDO tells;
+values are shown while none is unsure. On changes ``foreign_changes`` decides."""
 
 import math
 import threading

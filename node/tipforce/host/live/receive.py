@@ -1,10 +1,6 @@
-"""Live reception: frames from a bus in batches, ready for the bulk decoder: classic frames as a FRAME array, CAN FD
-frames separately. On SocketCAN with the kernel's time stamps and filters; every other interface through python-can.
-
-The compiled core reads many frames by recvmmsg. It keeps the GIL: with MSG_DONTWAIT the call never blocks, and
-releasing the GIL would yield to a busy thread for up to sys.getswitchinterval() (5 ms) each time. Without the core each
-frame is one recvmsg.
-"""
+"""Live reception: classic frames in batches as FRAME arrays, CAN FD frames separately; elsewhere than on SocketCAN
+through python-can. The compiled core reads many by recvmmsg with MSG_DONTWAIT and keeps the GIL: releasing it would
+yield to a busy thread for up to 5 ms (sys.getswitchinterval()) each time."""
 
 from __future__ import annotations
 

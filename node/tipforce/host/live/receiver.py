@@ -69,11 +69,8 @@ class Receiver:
         return 0
 
     def receive(self, timeout_s: float | None = None) -> FrameArray:
-        """Return the classic frames received, FRAME (n,), as soon as there is one; n is 0 after ``timeout_s``.
-
-        ``channel`` indexes the names of the block. Raises EnvironmentLackError if the bus fails, InterfaceDownError if
-        it may recover.
-        """
+        """Return classic frames, FRAME (n,), as soon as there is one, n = 0 after ``timeout_s``; ``channel`` indexes
+        the names. Raises EnvironmentLackError if the bus fails, InterfaceDownError if it may recover."""
         return self.receive_block(timeout_s).frames
 
     def receive_block(self, timeout_s: float | None = None) -> CandumpBlock:
@@ -122,11 +119,8 @@ class Filter:
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Filters of one socket: without filters every data frame passes; with an ``error_mask`` of 0 no error frame.
-
-    A data frame passes if it passes one of ``filters``, or all of them with ``join``. An error frame passes if it has
-    one of the classes of ``error_mask`` (linux/can/error.h).
-    """
+    """Filters of a socket: a data frame passes if it passes one of ``filters`` (all with ``join``; none: every frame),
+    an error frame if it has one of the classes of ``error_mask`` (linux/can/error.h)."""
 
     filters: tuple[Filter, ...] = ()
     join: bool = False

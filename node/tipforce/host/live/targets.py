@@ -63,11 +63,8 @@ def _wanted(
 
 
 def split_targets(texts: Sequence[str]) -> tuple[Path | str | None, tuple[Selection, ...]]:
-    """Return the source of the text (a file, STDIN, or None: buses), and the channels.
-
-    Filters after a file apply to all its frames: `run.log,181:7FF` is `run.log any,181:7FF`. Raises InputError for two
-    sources, a directory, and a missing file.
-    """
+    """Return the source (a file, STDIN, or None: buses), and the channels. Filters after a file apply to its frames:
+    `run.log,181:7FF`. Raises InputError for two sources, a directory, and a missing file."""
     sources: list[Path | str] = []
     targets: list[Selection] = []
     for text in texts:

@@ -1,7 +1,6 @@
-"""Read CAN frames from captures: pcap and pcapng of SocketCAN (drafts of the IETF opsawg), and MCAP (can_msgs/Frame, as
-ros2_socketcan and `tipforce decode` write it). Link types: 227 (SocketCAN: CAN ID in network byte order, length, data)
-and Linux' cooked captures of the interface "any", 113 and 276, of the protocols 000Ch (CAN) and 000Dh (CAN FD).
-"""
+"""Read CAN frames from captures: pcap, pcapng (drafts of the IETF opsawg), and MCAP (can_msgs/Frame). Link types: 227
+(SocketCAN, CAN ID in network byte order), and Linux' cooked captures 113 and 276 with protocols 000Ch (CAN) and 000Dh
+(CAN FD)."""
 
 import struct
 from collections.abc import Iterable, Iterator

@@ -18,12 +18,8 @@ _ENDS_16, _ENDS_24 = (-0x8000, 0x7FFF), (-0x800000, 0x7FFFFF)
 
 
 def open_recording(text: str, gauges: int, speed: float, loop: bool, bits: int) -> ReplaySource:
-    """Read the recording ``FILE``, or ``FILE@ID`` for one node of a log.
-
-    Raises InputError naming file and place. A CSV file needs ``t_s`` and SG1..SGn in microstrain; a log needs the gauge
-    PDOs (0x180 + node-id) of three gauges. Counts are those of a converter of ``bits`` bits with a full scale of 3276.8
-    microstrain.
-    """
+    """Read ``FILE``, or ``FILE@ID``, a node of a log: a CSV with ``t_s``, SG1..SGn in microstrain, or PDOs of three
+    gauges, as counts of ``bits`` bits, full scale 3276.8 microstrain. Raises InputError naming the place."""
     path, node_id = _split(text)
     is_csv = node_id is None and _looks_like_csv(path)
     t_s, microstrain, degC = _from_csv(path) if is_csv else _from_log(path, node_id)

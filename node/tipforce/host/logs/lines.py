@@ -1,9 +1,6 @@
-"""Read the bytes of a log: packed ones with a bound, and text as blocks of whole lines, also of a file that is still
-growing, or stdin.
-
-Megabytes can unpack to terabytes: gzip and zstd are streams, the chunks of MCAP and the containers of BLF are unpacked
-at once. A real log's timestamps differ: gzip saves a factor of 5 to 15, zstd up to 60.
-"""
+"""Read the bytes of a log: packed ones with a bound (megabytes can unpack to terabytes, real logs by 5 to 60), and text
+as blocks of whole lines, also of a file that is still growing, or stdin. gzip and zstd are streams, the chunks of MCAP
+and the containers of BLF are unpacked at once."""
 
 import os
 import select
@@ -230,10 +227,9 @@ def open_file(path: Path) -> FileIO:
 class LineBlocks:
     """Yield blocks of whole lines as (text, begin, end), the lines ``text[begin:end]``, in memory that is reused.
 
-    A line of more than BLOCK_BYTES, and truncated packed data, are noted as bad. ``source`` None is stdin: it returns
-    available data at once. ``follow`` waits for more at the end of a file, and restarts one that has become shorter.
-    ``stop`` ends both where it returns True: a file at its end, stdin after 0.5 s, in which its writer can end too.
-    ``live``: a consumer waits for each block. ``part``: first byte and end, both of ``line_borders``.
+    Lines above BLOCK_BYTES and truncated data are noted as bad. ``source`` None is stdin; ``follow`` waits at the end
+    of a file, and restarts a shorter one; ``stop`` ends both by True: a file at its end, stdin after 0.5 s. ``live``: a
+    consumer waits for each block. ``part``: first byte and end, both of ``line_borders``.
     """
 
     def __init__(

@@ -47,12 +47,8 @@ class BadLine:
 
 @dataclass(slots=True)
 class LogNotes:
-    """Notes on a log: its ``channels`` by number, and counts of all that is no data frame.
-
-    ``bad`` counts unusable lines or records by reason, ``first_bad`` has the first and the expected text. ``skipped``
-    counts CAN FD frames (left out), error and remote frames (delivered), frames that candump dropped. ``timed`` is
-    False after a frame without timestamp; its ``t_ns`` is 0. ``first_bad_line`` and ``lines``: of text.
-    """
+    """Notes on a log: ``channels`` by number; ``bad`` lines or records by reason, ``first_bad``; ``skipped``: CAN FD
+    (left out), error and remote frames, dropped. ``timed``: False after a frame without time, whose ``t_ns`` is 0."""
 
     strict: bool = False
     source: str = ""

@@ -39,13 +39,11 @@ class LogReader(LogNotes):
     ) -> None:
         """Open a log by its name and its first bytes; "-" is candump text on stdin.
 
-        ``strict`` raises at the first bad line, after the frames before it. ``follow`` waits at the end of a text for
-        more; ``stop`` ends that, and stdin, by returning True. ``deltas``: the timestamps are those of candump -td.
-        ``start_ns`` excludes earlier frames, ``end_ns`` frames at that time or later. ``part``: the bytes of a plain
-        text to read, split by ``line_borders``; its lines are numbered from 1.
-
-        Raises InputError for a file that can't be opened, EnvironmentLackError for a missing library; while iterating,
-        InputError for a bad line (strict), and for a time selection without timestamps.
+        ``strict`` raises at the first bad line, after the frames before it. ``follow`` waits at the end of a text,
+        until ``stop`` returns True. ``deltas``: of candump -td. ``start_ns`` excludes earlier frames, ``end_ns`` those
+        from then on. ``part``: bytes of a plain text (``line_borders``). Raises InputError for a file that can't be
+        opened, EnvironmentLackError for a missing library; while iterating, InputError for a bad line, and a time
+        selection without timestamps.
         """
         super().__init__(strict, str(source), goes_on=part[0] > 0)
         path = None if str(source) == STDIN else Path(source)

@@ -125,12 +125,8 @@ class Dispatcher(can.Listener):
 
 
 class Bus:
-    """One CAN bus: its fingers, SDO, NMT, SYNC and every received frame; a context manager.
-
-    ``bus`` is python-can's, or a connected ``canopen.Network``. If ``owned`` is False, and for a network always,
-    ``close`` leaves the bus open and removes only what this object added. ``timeout_s`` and ``retries`` apply to every
-    SDO transfer.
-    """
+    """One CAN bus: its fingers, SDO, NMT, SYNC, every frame. ``bus``: python-can's, or a ``canopen.Network``, which
+    ``close`` leaves open, as any not ``owned``. ``timeout_s`` and ``retries``: of every SDO transfer."""
 
     def __init__(
         self,
@@ -194,12 +190,8 @@ class Bus:
         retries: int = DEFAULT_RETRIES,
         **bus_options: Any,
     ) -> Bus:
-        """Open a bus: ``open("can0")``, ``open("can0", "socketcan")``, or an open ``can.Bus`` or ``canopen.Network``.
-
-        Names are python-can's, its configuration files and environment variables included; on Linux a channel without
-        an interface is SocketCAN's. An open bus or network stays open at ``close``. ``bus_options``: other keywords of
-        ``can.Bus``. Raises EnvironmentLackError if the bus cannot be opened.
-        """
+        """Open a bus: ``open("can0")``, ``open("can0", "socketcan")``, or an open ``can.Bus`` or ``canopen.Network``,
+        which stays open. Names are python-can's; on Linux alone SocketCAN's. Raises EnvironmentLackError."""
         if isinstance(channel, can.BusABC) or hasattr(channel, "add_node"):  # a canopen.Network, which is not imported
             return cls(channel, timeout_s, retries, owned=False)  # type: ignore[arg-type]
         if channel is not None and interface is None and sys.platform == "linux":
@@ -215,12 +207,8 @@ class Bus:
             raise
 
     def finger(self, node_id: int, *, passive: bool = False, gauges: int = 3) -> Finger:
-        """Return the finger with a node-id; the same object for the same arguments.
-
-        Raises InputError outside 1..127. ``passive``: nothing is sent; the PDOs are the default ones of ``gauges``
-        gauges. Otherwise they are read over SDO, a pre-operational node is started, and SYNCs are sent if no other node
-        sends them.
-        """
+        """Return the finger with a node-id. ``passive``: nothing is sent, default PDOs of ``gauges``; else PDOs are
+        read by SDO, the node is started, and SYNCs are sent if nobody sends them. Raises InputError outside 1..127."""
         from tipforce.host.network.finger import Finger
 
         finger = Finger(self, node_id, passive=passive, default_gauges=gauges)

@@ -26,12 +26,8 @@ _PROBABILITIES = ("drop", "duplicate", "corrupt", "reorder", "delay")
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """Probabilities per frame, 0 to 1.
-
-    ``only`` restricts them to these identifiers; empty means all. Corrupting flips one bit of the data: a CAN
-    controller would reject such a frame by its CRC, but a faulty adapter, a gateway or a memory error would not. Set it
-    to 0 to test only faults that CAN passes.
-    """
+    """Probabilities per frame, 0 to 1; ``only``: for these identifiers. ``corrupt`` flips one bit, which CAN's CRC
+    would reject, but not a fault of an adapter, a gateway or memory: 0 tests only faults that CAN passes."""
 
     drop: float = 0.0
     duplicate: float = 0.0

@@ -62,11 +62,8 @@ def find_nodes(
     wait_s: float = 1.2,
     observe: Callable[[FrameArray], object] = lambda _frames: None,
 ) -> list[FoundNode]:
-    """Request 1000h from every node-id, listen for ``wait_s`` to responses and heartbeats, then identify the nodes.
-
-    A node that only sends heartbeats (STOPPED: no SDO) is listed too. The wait ends when every node-id has sent both.
-    ``observe`` is called with the frames that arrive. Raises InputError for node-ids outside 1..127.
-    """
+    """Request 1000h of every node-id, listen for ``wait_s`` or until all respond and beat, then identify the nodes; one
+    that only beats (STOPPED) is listed. ``observe`` gets the frames. Raises InputError outside 1..127."""
     wanted = set(node_ids)
     if not wanted <= set(range(1, 128)):
         raise InputError(f"node-ids {sorted(wanted)}: allowed are 1 to 127")
@@ -148,12 +145,8 @@ class NotReachedError(NoResponseError):
 def command_and_wait(
     connection: Bus, command: str, node_ids: Collection[int], timeout_s: float = 2.0
 ) -> dict[int, str]:
-    """Send an NMT command to each node and wait for its heartbeat; return the state that each reported.
-
-    NMT is not confirmed: a command other than a reset is repeated until the heartbeat reports the state, so a node may
-    boot meanwhile. Raises NotReachedError naming the nodes whose heartbeat did not report it in time: they are off, or
-    their heartbeat (1017h) is slower or 0.
-    """
+    """Send an NMT command; return the state that each heartbeat reported. All but resets are repeated, because NMT is
+    not confirmed. Raises NotReachedError naming nodes that are off, or whose heartbeat (1017h) is slower or 0."""
     since_s, reached = time.monotonic(), dict[int, str]()
     again_s = timeout_s if command.startswith("reset") else _AGAIN_S
     waiting = sorted(node_ids)

@@ -90,11 +90,8 @@ class Finger:
         self._started_s = -math.inf
 
     def read(self, timeout_s: float = 1.0) -> Contact:
-        """Return the newest sample that was not read yet, or the next one; sends a SYNC if no node does.
-
-        Raises NoNewSampleError if none arrives within ``timeout_s`` (0: there is none), NoResponseError and
-        SdoAbortError, and InputError for a finger that sends no PDO with its contact, its force or all its gauges.
-        """
+        """Return the newest unread sample, or the next; sends a SYNC if no node does. Raises NoNewSampleError after
+        ``timeout_s``, as ``SdoChannel``, and InputError without a PDO of contact, force or all gauges."""
         checked_time("timeout_s", timeout_s)
         period_s = None if self._passive or not timeout_s else 1.0 / DEFAULT_RATE_HZ
         return self._opened().newest(time.monotonic() + timeout_s, period_s)

@@ -46,11 +46,8 @@ class LssMaster:
         return self._ask(codes.LSS_IDENTIFY_UNCONFIGURED, b"", codes.LSS_UNCONFIGURED_RESPONSE) is not None
 
     def fastscan(self, known: Sequence[int] = ()) -> Identity | None:
-        """Find one node without a node-id, and leave it in the configuration state; None if there is none.
-
-        ``known`` starts the address, as far as it is known (vendor, product, ...): one request for each part instead of
-        one for each bit. A node that has a node-id does not respond (CiA 305, 6.7).
-        """
+        """Find one node without a node-id, in configuration state then; None if there is none. ``known`` starts the
+        address (vendor, product, ...): a request for each part instead of each bit (CiA 305, 6.7)."""
         if not self._matches(0, codes.LSS_START_FASTSCAN, 0, 0):
             return None
         parts = [0, 0, 0, 0]

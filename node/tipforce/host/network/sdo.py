@@ -65,13 +65,11 @@ def checked_time(name: str, time_s: float) -> float:
 
 
 class SdoChannel:
-    """SDO transfers with one node; any number of threads and of asyncio tasks may use it. ``timeout_s`` bounds the wait
-    for each response, ``deadline_s`` a transfer with all its attempts; ``retries`` further ones follow an attempt
-    without a valid response. An abort is a response: it is never retried. Long data goes in blocks, unless the node has
-    refused them (``has_blocks``). ``clock`` returns seconds.
+    """SDO transfers with one node, for any number of threads and asyncio tasks.
 
-    A transfer raises DuplicateNodeError if two nodes respond. ``duplicates`` receives the frames of the bus: after a
-    second response the channel reads the serial number until it is decided whether there are two.
+    ``timeout_s`` bounds each response, ``deadline_s`` a transfer with its ``retries`` after invalid or no responses; an
+    abort is never retried. Long data goes in blocks, unless refused (``has_blocks``). ``clock``: seconds. Raises
+    DuplicateNodeError if two nodes respond: ``duplicates`` gets the frames, and the serial number is read.
     """
 
     def __init__(
