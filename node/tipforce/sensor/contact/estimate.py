@@ -31,11 +31,8 @@ def force_vector(P_newtons: npt.ArrayLike, phi_rad: npt.ArrayLike, theta_rad: np
 def force_from_strain(
     C: npt.ArrayLike, strain: npt.ArrayLike, offset_strain: npt.ArrayLike = 0.0, tare_newtons: npt.ArrayLike = 0.0
 ) -> FloatArray:
-    """Return F = C (strain - offset) - tare in newtons, shape (..., 3): equation (1) with offset and tare.
-
-    C: (3, n), newtons per unit strain. strain: (..., n). offset_strain: (n,), tare_newtons: (3,), or scalars. NaN or
-    infinity makes its row NaN or infinite, no other. Raises InputError where the shapes do not fit.
-    """
+    """Return F = C (strain - offset) - tare in newtons, (..., 3): equation (1). C: (3, n), N per strain; strain: (...,
+    n), a row with NaN or infinity gives no other; offset: (n,); tare: (3,). Raises InputError for other shapes."""
     matrix, V = floats("C", C), floats("strain", strain)
     offset, tare = floats("offset_strain", offset_strain), floats("tare", tare_newtons)
     if matrix.ndim != 2 or matrix.shape[0] != 3:
@@ -234,11 +231,8 @@ def contacts(F_newtons: npt.ArrayLike, *, pull: bool) -> Contact:
 
 
 def standard_uncertainties(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike, *, pull: bool) -> FloatArray:
-    """Return the standard uncertainties of P, phi, theta, (..., 3), N and rad, as scalar.uncertainty(); NaN for numbers
-    that are not finite, and variances below zero.
-
-    F: (..., 3); covariance_F: (3, 3) or (..., 3, 3), symmetric, N^2. Raises InputError for other shapes.
-    """
+    """Return the standard uncertainties of P, phi, theta, (..., 3), N and rad, as scalar.uncertainty(); NaN for bad
+    numbers. F: (..., 3); covariance_F: (3, 3) or (..., 3, 3), N^2. Raises InputError for other shapes."""
     u = deviation_columns(_forces(F_newtons), _covariances(covariance_F, F_newtons), 1.0 if pull else -1.0)
     return np.stack(u[:3], axis=-1)
 

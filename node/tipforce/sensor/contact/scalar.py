@@ -176,11 +176,8 @@ def status_bits(
     limits: tuple[float, float, float, float],
     was_present: bool,
 ) -> int:
-    """Return the bits CONTACT_PRESENT, THETA_UNRESOLVED, MISSES_TIP, and OUTSIDE_PAD (of a contact with neither). NaN
-    is never a contact; in theta or an uncertainty it leaves theta unresolved. was_present: of the sample before.
-
-    limits: contact-on >= contact-off, N, theta minimum <= maximum, degrees (150 to 210 is allowed).
-    """
+    """Return the bits CONTACT_PRESENT, THETA_UNRESOLVED, MISSES_TIP, OUTSIDE_PAD (of a contact with neither). NaN is no
+    contact, in theta or u unresolved. limits: contact-on >= contact-off, N, theta minimum <= maximum, degrees."""
     on, off, theta_min_deg, theta_max_deg = limits
     bits = 0
     if P >= (off if was_present else on):

@@ -14,11 +14,8 @@ _CONVERGED = 1e-15
 
 
 def singular_range(rows: "list[list[float]]") -> "tuple[float, float]":
-    """Return the largest and the smallest singular value of a matrix given as a few rows of equal length.
-
-    One-sided Jacobi: rows are rotated until all are orthogonal; their lengths are then the singular values, each with
-    full relative accuracy. NaN where an element is not finite.
-    """
+    """Return the largest and the smallest singular value of a few rows, each with full relative accuracy: the lengths
+    of the rows rotated until all are orthogonal (one-sided Jacobi). NaN where an element is not finite."""
     largest = 0.0
     for row in rows:
         for value in row:

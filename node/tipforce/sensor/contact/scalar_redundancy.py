@@ -220,11 +220,8 @@ def explained(
     noise: "float | Number" = 1.0,
     square_root: "Callable[[Number], Number]" = sqrt,
 ) -> "tuple[Number, list[tuple[Number, Number]]]":
-    """Return (chi-square, (what of it the best-fitting fault explains, chi-square per strain^2) of each gauge).
-
-    Arguments as of ``judge``; noise: by how much the gauges' noise is larger in variance. With numpy's square root, the
-    strain of each gauge may be a column of samples, and so are the results.
-    """
+    """Return (chi-square, (what of it the best-fitting fault explains, chi-square per strain^2) of each gauge), as
+    ``judge``. noise: its variance factor. With numpy's square root strains may be columns of samples."""
     p = [dot(row, strains) for row in W]
     root = None if extra is None else _root(W, extra, noise, square_root)
     q = p if root is None else _forward(root, p)

@@ -162,10 +162,8 @@ def node_coefficients(modes: Modes, step_s: float) -> Coefficients:
 
 
 def respond(modes: Modes, loads_newtons: npt.ArrayLike, step_s: float, start: State | None = None) -> Response:
-    """Return the elastic force at every sample of a load (m, 3), ``step_s`` apart, m at least 1; not finite after a
-    load that is not. start: the state at the first sample, ``at_rest`` if None. Raises InputError for other shapes, or
-    a step out of range.
-    """
+    """Return the elastic force at the samples of a load (m, 3), ``step_s`` apart; start: None is ``at_rest``. After a
+    load that is not finite no force is. Raises InputError for shapes that do not fit, or the step."""
     F = checked_loads(loads_newtons)
     held = np.array(holds(modes, step_s))
     g = F @ modes.load_shape.T
@@ -184,10 +182,8 @@ def checked_loads(loads_newtons: npt.ArrayLike) -> FloatArray:
 
 
 def _scan(held: FloatArray, drive: FloatArray, start: State) -> tuple[FloatArray, FloatArray]:
-    """Return all states (m, n) of the recurrence, in blocks, 2 sqrt(m) passes through Python instead of m: all start
-    from zero at once, then the state at the end of each is carried to the next, its free motion by powers of the step's
-    matrix (multiples of the step would round, which thousands of radians per step would show).
-    """
+    """Return all states (m, n) by about 2 sqrt(m) passes: blocks start from zero at once, then the end of each is
+    carried on by powers of the step's matrix (multiples would round at thousands of radians a step)."""
     steps, n = drive.shape[1:]
     if steps == 0:
         return start.position[np.newaxis], start.velocity[np.newaxis]

@@ -134,11 +134,8 @@ def apparent_force(
     warping_held: bool = False,
     inward_m: float = 0.0,
 ) -> ApparentForce:
-    """Return the force that a planar calibration computes from unwanted wrenches (m, 6), the worst.
-
-    Every gauge is misplaced by the two amounts, with the worst signs, and calibrated in the plane there. inward_m: of
-    the gauges' middles from the fixed ends. Raises InputError for an unusable layout, or wrenches of another shape.
-    """
+    """Return the worst force that a planar calibration computes from unwanted wrenches (m, 6), with gauges misplaced at
+    worst signs and calibrated there. inward_m: of their middles from the fixed ends. Raises InputError."""
     nominal = [nominal_position(geometry, point) for point in layout(gauges)]
     places = [place._replace(position_m=abs(place.position_m - inward_m)) for place in nominal]
     wrenches = np.atleast_2d(floats("wrenches", wrenches))
@@ -156,8 +153,7 @@ def apparent_force(
 
 
 def _arm_loads(beam: _Section) -> dict[str, FloatArray]:
-    """Return per arm the (6, 6) map from a wrench on the tip to the load at the arm's outer end, both on the arm. The
-    arms share the wrench as two springs in parallel between rigid bodies do."""
+    """Return per arm the (6, 6) map of a tip wrench to the load at its outer end: parallel springs of rigid bodies."""
     L, in_plane, out = beam.length_m, beam.bend_in_plane, beam.bend_out_of_plane
     # Restrained warping stiffens the ends: what is left twists freely.
     held = 2.0 * beam.decay_m * tanh(0.5 * L / beam.decay_m) if beam.decay_m else 0.0

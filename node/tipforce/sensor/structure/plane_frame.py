@@ -92,11 +92,8 @@ class Frame:
         self._scale = geometry.width_m * geometry.youngs_modulus_pascals
 
     def strain_matrix(self, gauges: Sequence[Gauge], gauge_length_m: float = 0.0) -> FloatArray:
-        """Return the strain per newton of F, shape (n, 3), tension positive, as the mean over gauge_length_m.
-
-        The points K_H and S_H are where their arms start. Raises InputError for an unknown gauge, one off its beam, or
-        one whose length reaches beyond it.
-        """
+        """Return the strain per newton of F, (n, 3), tension positive, as the mean over gauge_length_m; K_H and S_H lie
+        where their arms start. Raises InputError for a gauge that is unknown or not within its beam."""
         return np.array([self._row(gauge, gauge_length_m) for gauge in gauges], dtype=np.float64).reshape(-1, 3)
 
     def motions(self) -> tuple[FloatArray, FloatArray]:
@@ -145,8 +142,7 @@ class Frame:
 
 
 def _solve(elements: list[_Element], loads: FloatArray) -> FloatArray:
-    """Return the motion (u, v, rotation) of a body per newton of three loads (columns of (3, 3)): (3, 3), for E = 1 and
-    width = 1. The stiffness is scaled to a diagonal of 1."""
+    """Return the motion (u, v, rotation) per newton of three loads (3, 3), E = 1, width = 1, diagonal scaled to 1."""
     stiffness = np.sum([e.motion.T @ e.stiffness[3:, 3:] @ e.motion for e in elements], axis=0)
     diagonal = np.diagonal(stiffness)
     if not (np.isfinite(stiffness).all() and (diagonal > 1e-300).all()):

@@ -203,11 +203,8 @@ def pseudo_inverse(matrix: FloatArray, names: Iterable[str]) -> FloatArray:
 
 
 def condition_number(matrix: npt.ArrayLike) -> float:
-    """Return the 2-norm condition number of a matrix (n, 3) or (3, n); inf where it is singular.
-
-    The same for the strain matrix and C. It depends on the units of F (the paper's F2 is a force, not a moment) and on
-    the scale of every row. NaN where an entry is not finite. Raises InputError for another shape.
-    """
+    """Return the 2-norm condition number, (n, 3) or (3, n), equal for strain matrix and C; it depends on the units of F
+    and the scale of rows. inf: singular; NaN: an entry is not finite. Raises InputError for other shapes."""
     entries = floats("matrix", matrix)
     if entries.ndim != 2 or 3 not in entries.shape:
         raise InputError(f"the matrix has the shape {entries.shape}: allowed are (n, 3) and (3, n)")
