@@ -24,11 +24,8 @@ class _Sample:
 
 
 class Assembler:
-    """Samples of the nodes whose PDOs are ``pdos``: by identifier the node-id and the layout.
-
-    ``needed``: the PDOs with which a sample is complete, with the time of the last; samples without them are dropped.
-    Empty: complete when no PDO can join any more, with the time of the first.
-    """
+    """Samples of the nodes whose PDOs are ``pdos`` (node-id and layout by identifier). ``needed``: PDOs that complete a
+    sample, timed by the last; empty: all that can join, timed by the first. TPDO4 and EMCY tell the faults (2124h)."""
 
     def __init__(
         self, pdos: Mapping[int, tuple[int, Message]], needed: Sequence[str] = (), gauges: int = 0,

@@ -61,11 +61,8 @@ def contact_values(
     status: npt.NDArray[np.uint16],
     calibration: Calibration | None,
 ) -> tuple[FloatArray, npt.NDArray[np.uint16]]:
-    """P in newtons, phi and theta in degrees, (k, 3), of k samples of one finger, NaN where unknown; doubts, (k,).
-
-    As the node sent them where ``columns`` has P, phi and theta; else from F1, F2, F3; else from ``strain`` (k, n) and
-    the calibration. The doubts are bits of ``Status`` that an estimate from the gauges adds.
-    """
+    """P in newtons, phi and theta in degrees, (k, 3), NaN where unknown, and doubts as ``Status``, (k,), of k samples:
+    from P, phi and theta in ``columns``, else F1, F2, F3, else ``strain`` (k, n) by the calibration."""
     none = np.zeros(len(status), dtype=np.uint16)
     is_sent, has_forces = columns.keys() >= {"P", "phi", "theta"}, columns.keys() >= {"F1", "F2", "F3"}
     if not is_sent and not has_forces and calibration is not None and calibration.gauges == strain.shape[-1]:

@@ -15,11 +15,8 @@ if TYPE_CHECKING:
 
 
 class Status(enum.IntFlag):
-    """The status byte of a sample (2120h); bits 12 to 15 are those of 2124h, as far as they could be seen.
-
-    Bit 8: the finger did not answer; bit 9: see ``first_order_holds``; bit 10: the force does without a gauge; bit 11:
-    the calibration states no force range.
-    """
+    """The status byte (2120h), and bits 12 to 15 of 2124h. Bit 8: no answer; bit 9: see ``first_order_holds``; bit 10:
+    a gauge is left out; bit 11: the calibration states no force range."""
 
     CONTACT = scalar.CONTACT_PRESENT
     CALIBRATED = scalar.CALIBRATED

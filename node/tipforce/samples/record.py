@@ -169,11 +169,8 @@ _NO_ROW: Row = 0, 0, (), (), ()
 
 
 class Rows:
-    """m rows of k fingers, in the order of the SYNCs and of the hand's node-ids.
-
-    ``columns`` has every signal of the PDOs that the hand reads, each (m, k): measurements as float64 in the signal's
-    unit, NaN if the node marks them unknown or the finger is missing; flags as bool, False if missing.
-    """
+    """m rows of k fingers, by SYNC and by node-id. ``columns`` by signal, (m, k): float64 in the signal's unit, NaN if
+    unknown or the finger is missing; flags bool, then False."""
 
     def __init__(self, first: int, raw: list[Row], node_ids: Sequence[int], pdos: Sequence[Pdo]) -> None:
         """Closed rows of the answers ``pdos`` of ``node_ids``; a column is made when it is first read."""

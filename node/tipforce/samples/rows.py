@@ -1,11 +1,6 @@
-"""The samples of a SYNC become a row of a hand. An answer to a numbered SYNC carries the number in 2121h: it belongs to
-its row by arithmetic, up to half the numbers late. Without numbers an answer is taken to be to the last SYNC before it;
-a finger that was missing may still send that to the SYNC before: so its next row stays open until the next SYNC, and
-two different answers in it are discarded.
-
-While each SYNC follows the last and every answer is to it, the compiled core makes the rows (``rows`` of _core.c), with
-a state of its own; the first other frame brings the state back (``_leave``), and the loop here goes on.
-"""
+"""The samples of a SYNC become a row of a hand. An answer belongs to its row by the number in 2121h, up to half the
+numbers late; without numbers it is to the last SYNC, and after a missing answer the row stays open until the next SYNC:
+two different answers in it are discarded. While all answers come in turn, the compiled core makes the rows."""
 
 import math
 import struct

@@ -1,5 +1,4 @@
-"""Frames of a bus or a log as blocks of contacts and events of the fingers in them; and the same live, also of a
-commissioned hand."""
+"""Frames of a bus, a log or a commissioned hand as blocks of contacts and events of the fingers in them."""
 
 from __future__ import annotations
 
