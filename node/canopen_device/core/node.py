@@ -88,12 +88,11 @@ class Application:
 
 
 class Device:
-    """One CANopen node.
+    """One CANopen node: call ``step`` with the received frames and the time, and send the frames that it returns.
 
-    Call ``step`` with the received frames and the time; send the frames that it returns. ``now_us`` never wraps; where
-    it goes back, the device's own time stays ahead from then on. The loop empties ``requests``, (name, value,
-    milliseconds): ("reset-node", 0, 0) and ("reset-communication", 0, 0) report a reset that was done, ("bit-rate",
-    bit/s, delay) requests a switch of the bus (CiA 305, 6.4.4), ("bus-restart", 0, 0) a restart after bus-off.
+    ``now_us`` never wraps; where it goes back, the device's own time stays ahead. The loop empties ``requests``, (name,
+    value, ms): ("reset-node", 0, 0) and ("reset-communication", 0, 0) report a reset, ("bit-rate", bit/s, delay)
+    requests a switch of the bus (CiA 305, 6.4.4), ("bus-restart", 0, 0) a restart after bus-off.
     """
 
     def __init__(

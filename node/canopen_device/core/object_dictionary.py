@@ -27,12 +27,8 @@ REAL32_MAX = 3.4028234663852886e38
 
 
 def encode(kind: str, value: "Value") -> bytes:
-    """Return ``value`` as little-endian bytes; ``kind`` is struct's letter, "s" a string, "D" bytes, "u3" to "u7" and
-    "i3" to "i7" integers of 24 to 56 bits (``wide_types``).
-
-    Integers are limited to their range here because MicroPython's struct wraps where CPython's raises; a float beyond
-    REAL32 becomes an infinity with its sign.
-    """
+    """Return ``value`` as little-endian bytes; ``kind``: struct's letter, "s", "D" bytes, "u3" to "u7", "i3" to "i7".
+    Integers are limited to their range, as MicroPython's struct wraps; a float beyond REAL32 is infinite."""
     if kind == "D":
         return value  # type: ignore[return-value]
     if kind == "s":
@@ -71,15 +67,13 @@ def real32(value: float) -> float:
 
 
 class ObjectDictionary:
-    """Entries by index and sub-index, with their values. A service that owns an object registers hooks for its index:
-    ``readers[index](sub)`` returns the value in place of the stored one; ``writers[index](sub, value)`` an abort code,
-    or 0 to accept and store it; ``sizes[index]`` is the only length of a DOMAIN or string; ``sinks[index](sub, size)``
-    returns an abort code, or what takes a long download in parts (``sdo_server.Sink``). ``views`` reads (index, sub)
-    and writes (index, sub, value) entries with the flag VIEW that have no hook: they hold no value.
+    """Entries by index and sub-index, with their values, and hooks of the services that own objects.
 
-    ``dummies`` are the types that an RPDO may map as placeholders (7.4.7.1). ``changed()`` is called after a write that
-    changes an entry with the flag COUNTED; ``edited`` is set by a change of any setting but 1020h. ``packer(keys)``
-    returns a function that packs a TPDO with this mapping, or None where it has no faster one.
+    ``readers[index](sub)``: the value; ``writers[index](sub, value)``: an abort code, or 0 to store; ``sizes[index]``:
+    the only length of a DOMAIN or string; ``sinks[index](sub, size)``: an abort code or a ``sdo_server.Sink``.
+    ``views`` read and write entries with the flag VIEW, which hold no value. ``dummies``: types that an RPDO may map
+    (7.4.7.1); ``changed()``: after a write to a COUNTED entry; ``edited``: a setting but 1020h changed;
+    ``packer(keys)``: a faster TPDO packer or None.
     """
 
     def __init__(self, node_id: int) -> None:

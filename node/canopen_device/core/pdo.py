@@ -19,12 +19,8 @@ MAX_BYTES = 8
 
 
 class Pdo:
-    """One PDO: its number, its parameter objects, and their contents compiled for speed.
-
-    ``direction`` is the entry flag of mapped objects. ``changed()`` follows each accepted write. ``valid`` is bit 31 of
-    the COB-ID; ``active`` also needs a mapping. ``widths``: the bits of each mapped entry if not all are whole values,
-    otherwise None.
-    """
+    """One PDO, its contents compiled for speed. ``direction``: flag of mapped objects; ``changed()``: after an accepted
+    write; ``valid``: bit 31 of the COB-ID; ``active``: with a mapping; ``widths``: bits if not whole values."""
 
     def __init__(
         self, od: "ObjectDictionary", communication: int, mapping: int, direction: int, changed: "Callable[[], None]"

@@ -22,12 +22,8 @@ class TransferError(Exception):
 
 
 class Transfer:
-    """One transfer with the default SDO server of a node; ``step`` starts it and leads it to its end.
-
-    At its end ``ended`` is True and exactly one applies: ``abort_code`` is that of the server; ``failure`` says why the
-    client aborted ("": no response); else it succeeded, and ``data`` holds what an upload has read. ``ignored`` is the
-    last frame that did not belong to this transfer. Such a frame restarts no time-out.
-    """
+    """One transfer with the default SDO server of a node, led by ``step`` until ``ended``: by ``abort_code``, by
+    ``failure`` of the client ("": no response), or with ``data``. ``ignored``: the last foreign frame."""
 
     def __init__(self, index: int, sub: int, timeout_us: int, deadline_us: int) -> None:
         """``timeout_us`` is the time for each response; ``deadline_us`` is the latest end, on the clock of ``step``."""

@@ -1,7 +1,6 @@
-"""Store and restore of parameters (CiA 301, 7.5.2.13 and 7.5.2.14), objects 1010h and 1011h. The content of a group is
-one byte string: CRC-32, then records of index, sub-index, length and data. The caller provides the memory as
-``save(group, data) -> bool`` and ``load(group) -> bytes | None``.
-"""
+"""Objects 1010h and 1011h (CiA 301, 7.5.2.13, 7.5.2.14). The content of a group is one byte string: CRC-32, then
+records of index, sub-index, length and data. The caller provides ``save(group, data) -> bool``, ``load(group) -> bytes
+| None``."""
 
 import binascii
 import struct
@@ -28,11 +27,8 @@ _RESTORED = b""  # stored after a restore: empty, so the defaults apply after th
 
 
 class Storage:
-    """Objects 1010h and 1011h.
-
-    Without ``save`` and ``load`` every store is rejected with 06060000h. Storing other content than boot-up would have
-    loaded clears 1020h, in the store too, unless 1020h was written after the last change of a setting (7.5.2.21).
-    """
+    """Objects 1010h and 1011h; without ``save`` and ``load`` stores are rejected (06060000h). Storing other content
+    clears 1020h, in the store too, unless 1020h was written after the last change (7.5.2.21)."""
 
     def __init__(
         self,

@@ -22,11 +22,8 @@ _FAILED = "`ip -br link` lists the interfaces of this machine"
 
 
 def open_bus(options: Mapping[str, Any], unnamed: str = _UNNAMED, failed: str = _FAILED) -> can.BusABC:
-    """Return the bus that keywords of ``can.Bus`` name; None is as if not given.
-
-    ``unnamed`` and ``failed`` say what to do without a name and without success. Raises EnvironmentLackError with them,
-    and InputError for a channel that pyserial's spy:// would record: the name of a log or a hand names a file.
-    """
+    """Return the bus of ``can.Bus`` keywords (None: not given). Raises EnvironmentLackError, saying what to do by
+    ``unnamed`` or ``failed``, and InputError for a channel that pyserial's spy:// would record to a file."""
     import can
 
     given = {key: value for key, value in options.items() if value is not None}

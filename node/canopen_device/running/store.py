@@ -24,12 +24,11 @@ class _Slot(NamedTuple):
 
 
 class FileStore:
-    """``save`` and ``load`` of a device in two files, ``path`` and ``path`` with ``.2`` added: JSON of a sequence
-    number, the groups (name -> hex), a CRC-32.
+    """``save`` and ``load`` in two JSON files, ``path`` and ``path.2``: sequence number, groups (name -> hex), CRC-32.
 
-    A save replaces the lower number: temporary file, fsync, rename, fsync of the directory. A corrupt slot is logged
-    once, and the other applies; without an intact one the readable groups are returned: the device checks the CRC of
-    each. Raises InputError if ``path`` is a directory or in none.
+    A save replaces the lower number: temporary file, fsync, rename, fsync of the directory. A corrupt slot is logged,
+    and the other applies; without an intact one the readable groups are returned: the device checks the CRC of each.
+    Raises InputError if ``path`` is a directory or in none.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:

@@ -1,7 +1,5 @@
-"""CAN frames as UDP multicast (python-can's `udp_multicast`), without the frames that a bus object sent itself. The
-network returns a sender's own datagrams, because other programs of the same machine also need them. A CANopen node that
-received its own frames would report a collision of COB-IDs (EMCY 8150h).
-"""
+"""CAN frames as UDP multicast (python-can's `udp_multicast`) without the own frames of a bus object, which the network
+returns for other programs of the machine: a node would report them as a collision (EMCY 8150h)."""
 
 import copy
 import logging
