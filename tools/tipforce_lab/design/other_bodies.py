@@ -1,7 +1,5 @@
-"""The comparators [5] and [11], other materials and smaller bodies: strain, noise and largest load, by beam theory. The
-material values are typical ones of data sheets (assumed: the paper names AISI 4340 alone, without values); replace them
-by those of the sheet that is bought. Yield is static; repeated loads need a fatigue limit.
-"""
+"""The comparators [5] and [11], other materials and smaller bodies: strain, noise and largest load, by beam theory.
+Material values are assumed (the paper names AISI 4340 alone): replace them by a data sheet's. Yield is static."""
 
 import math
 from dataclasses import replace

@@ -255,11 +255,8 @@ def search(
     seed: int = 0,
     done: Callable[[], None] = lambda: None,
 ) -> list[Design]:
-    """Return the best design of each configuration that has one within the limits, the best first. done is called after
-    each start.
-
-    Raises InputError for values out of range or if no start ends within the limits, EnvironmentLackError without scipy.
-    """
+    """Return the best design of each configuration within the limits, the best first; ``done`` is called after each.
+    Raises InputError for values or if no start ends within the limits, EnvironmentLackError without scipy."""
     if starts < 1:
         raise InputError(f"{starts} starts: allowed is 1 or more")
     goal = score(objective, limits.load_newtons)

@@ -142,11 +142,8 @@ class Impact(NamedTuple):
 def impact(
     modes: Modes | None, striker: Striker, until_s: float, times_s: npt.ArrayLike = (), slit: SlitStop | None = None
 ) -> Impact:
-    """Return the course of an impact, structure at rest at 0. modes: None is rigid ground. times_s: (m,), 0 to until_s.
-
-    Raises InputError for times out of range, too many steps, a Hertzian contact with a slit; EnvironmentLackError for a
-    Hertzian contact without scipy.
-    """
+    """Return the course of an impact on a structure at rest (modes None: rigid ground) at times_s (m,), 0 to until_s.
+    Raises InputError for times, too many steps, a Hertzian contact with a slit; EnvironmentLackError without scipy."""
     t = floats("times_s", times_s).reshape(-1)
     if not 0.0 < until_s < math.inf:
         raise InputError(f"until_s = {until_s!r}: allowed is a positive finite number")

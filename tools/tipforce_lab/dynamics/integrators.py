@@ -1,7 +1,6 @@
-"""Integrators of other kinds, for comparison only: all other modules use first_order_hold.py; and the error of none.
-All return the elastic force (m, 3) at the times (m,), infinite or NaN where a run is unstable. None uses the linearity
-between events; a contact is a force that is 0 while open. closed_form() is their reference.
-"""
+"""Integrators for comparison only (other modules use first_order_hold.py), and the error of none. All return the
+elastic force (m, 3) at times (m,), infinite or NaN where unstable; a contact is a force that is 0 while open.
+closed_form() is their reference."""
 
 import math
 from collections.abc import Callable

@@ -47,11 +47,8 @@ class Rectangle(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """The body's cross-section: a slit of constant width separates the horizontal beam from the tip, whose legs hold
-    the beam at its ends; above vertical sides the tip is bounded by an arc around the origin.
-
-    Raises InputError, naming the field, for a body that cannot be built or meshed.
-    """
+    """The cross-section: a slit of constant width between horizontal beam and tip, whose legs hold the beam; above
+    vertical sides an arc around the origin. Raises InputError, naming the field, for a body that cannot be meshed."""
 
     geometry: Geometry = FABRICATED
     slit_m: float = 0.25e-3

@@ -1,7 +1,5 @@
-"""Plane elasticity of the body with scikit-fem: P2 triangles, one sparse factorisation for three loads; and what gauges
-read of it: the difference of displacement between a gauge's ends over its length, finite also next to a re-entrant
-corner, where strain is infinite. Young's modulus and the width are 1 inside, and divided by at the end.
-"""
+"""Plane elasticity with scikit-fem: P2 triangles, one sparse factorisation, three loads. A gauge reads the difference
+of displacement of its ends over its length, finite also at a re-entrant corner. E and width are 1 inside."""
 
 import math
 from collections.abc import Sequence
