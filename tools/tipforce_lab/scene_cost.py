@@ -1,5 +1,4 @@
-"""Run time and import time of each part of a scene: the scene with the part against that without it (and without the
-parts that depend on it)."""
+"""Run time and import time of each part of a scene: with it against without it and the parts that depend on it."""
 
 import math
 import subprocess

@@ -115,8 +115,7 @@ class McapWriter:
         return self._tips[key]
 
     def _pictures(self, chunk: Table, samples: Mapping[int, Block]) -> None:
-        """Draw the state at every 30th of a second, side by side: a recording does not say where fingers are
-        mounted."""
+        """Draw the state every 30th of a second, side by side: a recording does not say where fingers are mounted."""
         first_ns, last_ns = int(chunk.t_ns.min()), int(chunk.t_ns.max())
         begin_ns = self._picture_ns if abs(first_ns - self._picture_ns) < _GAP_NS else first_ns
         times = np.arange(begin_ns, last_ns + 1, _PICTURE_NS)

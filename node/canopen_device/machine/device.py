@@ -231,8 +231,7 @@ class Faults:
         self._origin_us: int | None = None
 
     def plan(self, kind: str, at_s: float = 0.0, for_s: float | None = None, **parameters: float) -> None:
-        """Start a fault at ``at_s``, end it ``for_s`` later (None: never). Raises InputError for what is not
-        allowed."""
+        """Start a fault at ``at_s``, end it ``for_s`` later (None: never). Raises InputError for a wrong argument."""
         checked(kind, parameters)
         if at_s < 0.0 or (for_s is not None and for_s <= 0.0):
             shown = f"at_s {at_s:g}, for_s {for_s}"

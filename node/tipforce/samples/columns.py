@@ -22,8 +22,7 @@ _DOUBTS = np.uint16(sum(reasons.COMPUTED.values()) & ~Status.CONTACT)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """m rows of k fingers with n gauges, or, without the axis of the fingers, m samples of one finger. The history of a
-    page keeps them as float32."""
+    """m rows of k fingers with n gauges, or m samples of one finger; the history of a page keeps them as float32."""
 
     t_ns: npt.NDArray[np.int64]
     """(m,) time of each SYNC, or of reception."""

@@ -149,8 +149,7 @@ def table_3(geometry: Geometry, gauges: Layout) -> Table3Row:
 
 
 def condition_numbers_by_unit(geometry: Geometry, gauges: Layout) -> dict[str, float]:
-    """Return the condition number with F2 as the force M / r (the paper's), and with the moment in N mm and N m. Raises
-    InputError for an unusable layout."""
+    """Return the condition numbers with F2 = M / r (the paper's), in N mm, in N m. Raises InputError for the layout."""
     return {unit: condition_at_length(geometry, gauges, u) for unit, u in moment_units(geometry).items()}
 
 

@@ -56,8 +56,7 @@ def no_load(time_s: float) -> FloatArray:
 
 
 def runge_kutta_4(problem: Problem, load: Load, times_s: npt.ArrayLike) -> FloatArray:
-    """Integrate by the classic method, order 4, one step from each time to the next. Stable without damping up to omega
-    h = 2 sqrt(2); see rk4_stability_limit()."""
+    """Integrate by the classic method, order 4, a step from each time to the next; limit: rk4_stability_limit()."""
     t = _times(times_s)
     X, elastic = problem.start, [problem.output @ problem.start]
     with np.errstate(over="ignore", invalid="ignore"):

@@ -245,8 +245,7 @@ def _draw_series(axes: Axes, study: Study, number: int, floor: float) -> None:
 
 
 def _frame(axes: Axes, study: Study, zero: float | None) -> None:
-    """Show at least two decades per axis (labels), a band up to the reference's error, and a line for errors of
-    zero."""
+    """Show at least two decades per axis (labels), a band up to the reference's error, a line for errors of zero."""
     for (low, high), set_limits in ((axes.get_xlim(), axes.set_xlim), (axes.get_ylim(), axes.set_ylim)):
         short = 2.0 - math.log10(high / low)
         if short > 0.0:

@@ -86,8 +86,7 @@ def notes(name: str, manifest: Manifest) -> LogNotes:
 
 
 def tables(name: str, reading: Reading) -> Iterator[Table]:
-    """Yield the samples of the parts, of compacted ones together, in the order of their times. Only those that
-    ``reading`` selects."""
+    """Yield the samples that ``reading`` selects, of compacted parts together, in the order of their times."""
     store, manifest = opened(name)
     start, end = reading.limits(reading.origin_ns or manifest.first_ns or 0)
     limits = -_FOREVER if start is None else start, _FOREVER if end is None else end

@@ -60,8 +60,7 @@ class FingerReport:
 
 
 def bring_up(connection: Bus, hand: HandFile, on_event: OnEvent) -> tuple[list[FingerReport], set[int]]:
-    """Bring all fingers up; return a report for each, in file order, and the node-ids of all nodes on the bus. Raises
-    InputError for an invalid file."""
+    """Return a report for each finger, in file order, and the node-ids on the bus. Raises InputError for the file."""
     plans = {finger.node_id: wanted_settings(hand, finger) for finger in hand.finger}
     for finger in hand.finger:
         connection.nmt("preop", finger.node_id)  # no PDOs during configuration; SDO works, also after a stop

@@ -1,5 +1,4 @@
-"""Events of a hand in order: heartbeats, boot-ups, EMCY, faults of the bus, identifiers that babble. Frames and time
-in, events out; no clock and no bus inside."""
+"""Events of a hand in order: heartbeats, boot-ups, EMCY, bus faults, babbling; frames and time in, no clock or bus."""
 
 import struct
 from collections.abc import Iterator, Sequence

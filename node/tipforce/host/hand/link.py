@@ -58,8 +58,7 @@ class Link:
         return self._frames.take_some(time.monotonic() + timeout_s)
 
     def start_sync(self, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
-        """Send SYNCs with ``data`` in turn from now on, until the returned function is called. Raises
-        EnvironmentLackError."""
+        """Send SYNCs with ``data`` in turn until the returned function is called. Raises EnvironmentLackError."""
         if self._bus is not None:
             return kernel_sync(self._bus, period_s, data)
 

@@ -38,8 +38,7 @@ _Packet = tuple[int, _Interface, bytes]  # t_ns
 
 
 def pcap_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
-    """Yield blocks of frames. Packets that are not CAN, and a truncated file, are noted as bad. Raises InputError for a
-    file that cannot be opened for reading."""
+    """Yield blocks of frames; other packets and a truncated file are noted as bad. Raises InputError for the file."""
     with BufferedReader(open_file(path)) as file:
         magic = int.from_bytes(file.peek(4)[:4], "little")
         order = "<" if magic in _UNIT_OF_MAGIC else ">"
