@@ -41,7 +41,6 @@ def sequence(seed: int, latches: int = 60) -> Frames:
 
 
 def cut(frames: Frames, seed: int) -> list[JoinedSamples]:
-    """The samples of frames in random parts."""
     pick, assembler, at, parts = random.Random(seed), Assembler(PDOS), 0, []
     while at < len(frames):
         count = pick.choice((1, 2, 7, 50))
@@ -51,7 +50,6 @@ def cut(frames: Frames, seed: int) -> list[JoinedSamples]:
 
 
 def numbers(*columns: np.ndarray) -> list[tuple[float, ...]]:
-    """Rows of columns, for comparison."""
     table = np.nan_to_num(np.column_stack([np.asarray(column, dtype=np.float64) for column in columns]), nan=-1e9)
     return sorted(tuple(row) for row in table.round(6).tolist())
 

@@ -22,7 +22,6 @@ def noisy(load: tuple[float, float, float] = PUSH) -> Finger:
 
 
 def inject(talk: Finger, fault: int, gauge: int = 2, magnitude: float = 0.0) -> None:
-    """2200h, gauge and magnitude first."""
     assert talk.put("B", 0x2200, 2, gauge) == talk.put("f", 0x2200, 3, magnitude) == 0
     assert talk.put("H", 0x2200, 1, fault) == 0
 
@@ -90,8 +89,6 @@ def test_enormous_load_and_drift_saturate_and_never_raise() -> None:
 
 
 class Bare(Source):
-    """A source of a real front end."""
-
     def __init__(self) -> None:
         self.next: Reading | None = Reading((1, 2, 3), 0, 2500)
 

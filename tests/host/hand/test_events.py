@@ -9,7 +9,6 @@ from tipforce.samples.reasons import NO_RESPONSE, PRESENT
 
 
 def seen(supervisor: Supervisor, now_s: float, *frames: tuple[int, str]) -> list[tuple[int, str, int]]:
-    """What happened when these frames came."""
     array = frame_array([(0, can_id, bytes.fromhex(data)) for can_id, data in frames])
     return [(event.node_id, event.kind, event.code) for event in supervisor.add(array, now_s)]
 

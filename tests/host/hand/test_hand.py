@@ -43,7 +43,6 @@ def hand(tmp_path: Path) -> Iterator[Hand]:
 
 
 def until(condition: Callable[[], object]) -> None:
-    """Wait for it."""
     deadline_s = time.monotonic() + WAIT_S
     while not condition():
         assert time.monotonic() < deadline_s

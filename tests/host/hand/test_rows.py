@@ -22,7 +22,6 @@ PERIOD_NS = 1_000_000
 
 
 def sync(number: int) -> tuple[int, bytes]:
-    """A SYNC with its number."""
     return 0x80, bytes((number,))
 
 
@@ -53,7 +52,6 @@ class Stream:
         self.periods = 0
 
     def add(self, *frames: tuple[int, bytes]) -> list[list[float]]:
-        """P of each finger in the rows that came out."""
         timed = []
         for can_id, data in frames:
             self.periods += can_id == 0x80
@@ -94,7 +92,6 @@ def test_a_row_is_out_as_soon_as_it_is_whole() -> None:
 
 
 def unnumbered(*counters: int | None, P_mN: int = 1000) -> list[tuple[int, bytes]]:
-    """SYNCs without numbers, and the answers of finger 1 with these counters; None: there is none."""
     return [frame for c in counters for frame in ([SYNC] if c is None else [SYNC, answer(1, c, P_mN)])]
 
 

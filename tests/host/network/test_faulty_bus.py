@@ -70,7 +70,6 @@ def test_only_the_named_identifiers(drop: float, delay: float, seed: int) -> Non
 
 @pytest.fixture
 def buses() -> Iterator[tuple[can.BusABC, FaultyBus]]:
-    """A sender and a faulty receiver."""
     channel = new_channel()
     with can.Bus(interface="virtual", channel=channel) as sender:
         faulty = FaultyBus(can.Bus(interface="virtual", channel=channel), Faults(), seed=3)
@@ -79,7 +78,6 @@ def buses() -> Iterator[tuple[can.BusABC, FaultyBus]]:
 
 
 def received(bus: can.BusABC, timeout_s: float = 0.02) -> list[bytes]:
-    """All that comes."""
     found = []
     while (message := bus.recv(timeout_s)) is not None:
         found.append(bytes(message.data))

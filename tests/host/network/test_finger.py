@@ -24,8 +24,6 @@ LOAD = (4.4, 90.0, 60.0)
 
 
 class Bench(NamedTuple):
-    """One calibrated, loaded, operational node."""
-
     connection: Bus
     bus: FaultyBus
     client: Finger
@@ -98,7 +96,6 @@ ILL_CONDITIONED = (np.ones((3, 3)), np.zeros((3, 3)), np.diag([1.0, 1.0, 1e-5]))
 
 
 def spoiled(field: str, value: float) -> dict[str, object]:
-    """A field of a calibration with one value that is not finite."""
     present = getattr(beam_calibration(), field)
     if not isinstance(present, np.ndarray):
         return {field: value}

@@ -47,18 +47,15 @@ def log_lines(
 
 
 def write_log(path: Path, lines: list[str]) -> Path:
-    """A log of these lines."""
     path.write_text("".join(line + "\n" for line in lines))
     return path
 
 
 def decode(*words: object) -> int:
-    """Run `tipforce decode`, quietly."""
     return main(["decode", "-q", *map(str, words)])
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:
-    """The rows of a CSV file."""
     return list(csv.DictReader(io.StringIO(path.read_text())))
 
 
@@ -68,7 +65,6 @@ def number(text: str) -> float | None:
 
 
 def records_of(text: str) -> list[dict[str, Any]]:
-    """JSON lines."""
     return [json.loads(line) for line in text.splitlines()]
 
 
@@ -84,7 +80,6 @@ def _cells(row: dict[str, Any]) -> tuple[Any, ...]:
 
 
 def rows_of_logs(*names: Path) -> list[tuple[Any, ...]]:
-    """The rows of one decode to a file."""
     path = names[0].with_suffix(".one.parquet")
     assert decode(*names, "-j", 1, "-o", path) == 0
     return sorted(_cells({"channel": "vcan0"} | row) for row in pq.read_table(path).to_pylist())

@@ -30,7 +30,6 @@ COMMAND = [sys.executable, "-m", "tipforce_tools.cli.main"]
 
 @pytest.fixture(autouse=True)
 def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Parts of 100 kB."""
     monkeypatch.setattr(session, "_DATASET_PIECE_BYTES", 100_000)
 
 

@@ -80,10 +80,7 @@ def lines_of(steps: list[tuple[str, int, int, int]], modulus: int) -> list[str]:
 
 
 class Rows:
-    """Keeps the rows of each part as text."""
-
     def write(self, number: int, tables: Iterable[Table], shape: Shape) -> list[str]:
-        """The rows."""
         del number
         return [text for table in tables if shape.fits(table) is not None for text in texts(table)]
 
@@ -147,7 +144,6 @@ def in_parts(log: Path, cuts: list[int], slots: int, order: random.Random) -> tu
 
 
 def one_pass(log: Path) -> tuple[list[str], Recording]:
-    """The rows and the recording of one pass."""
     recording = Recording(READING)
     return [row for table in tables_of_logs(recording, [str(log)]) for row in texts(table)], recording
 

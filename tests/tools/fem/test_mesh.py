@@ -29,7 +29,6 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def areas_m2(mesh: Triangles) -> np.ndarray:
-    """The signed areas, positive for a triangle that is not inverted."""
     p, q, s = (mesh.points_m[:, index] for index in mesh.corners)
     result: np.ndarray = 0.5 * ((q[0] - p[0]) * (s[1] - p[1]) - (s[0] - p[0]) * (q[1] - p[1]))
     return result

@@ -31,8 +31,6 @@ def new_page(browser: Browser, **options: Any) -> Page:
 
 
 class Shown:
-    """A source, its server and its page."""
-
     def __init__(self, source: MovingSource, server: ViewServer, page: Page) -> None:
         self.source, self.server, self.page = source, server, page
         self.wrong: list[str] = []
@@ -41,11 +39,9 @@ class Shown:
         page.goto(server.url)
 
     def word(self, node_id: int, text: str) -> None:
-        """Wait until a finger's state is so."""
         expect(self.page.locator(f'.finger[data-node="{node_id}"] .state')).to_contain_text(text)
 
     def mode(self, text: str) -> None:
-        """Wait until the page's mode is so."""
         expect(self.page.locator("#mode")).to_contain_text(text)
 
     def force(self, node_id: int) -> str:

@@ -20,7 +20,6 @@ GOOD = CALIBRATED | CONTACT_PRESENT
 
 
 def holding(count: int = 1, capacity: int = 100, gauges: int = 3) -> Model:
-    """A model without rows."""
     return Model(fingers(count), gauges, capacity=capacity)
 
 

@@ -139,7 +139,6 @@ def test_wrong_requests_are_refused() -> None:
 
 @contextlib.contextmanager
 def closed_with(code: int) -> Iterator[None]:
-    """The server closes the connection with this code in the block."""
     with pytest.raises(ConnectionClosed) as closed:
         yield
     assert closed.value.rcvd is not None

@@ -54,7 +54,6 @@ def cycle(k: int, nodes: tuple[int, ...], sync: bool = True, with_gauges: bool =
 
 
 def run(watcher: Watcher, *cycles: list[tuple[int, int, bytes]]) -> list[np.ndarray]:
-    """P of the rows, one array (m, k) for each block."""
     found = []
     for frames in cycles:
         blocks, _ = watcher.add(frame_array(frames), frames[-1][0] * 1e-9)
@@ -96,7 +95,6 @@ def test_health_tells_the_uncertainty_of_the_force() -> None:
 
 
 def written(path: Path, frames: FrameArray) -> Path:
-    """A candump log."""
     lines = (
         f"({t_ns // 10**9}.{t_ns % 10**9 // 1000:06d}) can0 {can_id:03X}#{bytes(data[:length]).hex().upper()}\n"
         for t_ns, can_id, length, data in zip(
@@ -201,7 +199,6 @@ def test_a_page_names_once_what_calibrates_a_finger() -> None:
 
 @pytest.fixture(scope="module")
 def demo() -> LogSource:
-    """What `tipforce demo --view` shows."""
     return scene_source(file_or_shipped("hand", "scenes"), finger_maker())
 
 
