@@ -10,6 +10,9 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from tipforce.host.dataset.reader import opened
+from tipforce.host.frames.frame_array import FrameArray
+from tipforce.host.frames.frame_block import CandumpBlock
+from tipforce.host.logs.candump_format import CandumpFormat
 from tipforce_tools.cli.main import main
 
 START_US = 1_700_000_000_000_000
@@ -49,6 +52,10 @@ def log_lines(
 def write_log(path: Path, lines: list[str]) -> Path:
     path.write_text("".join(line + "\n" for line in lines))
     return path
+
+
+def write_frames(path: Path, frames: FrameArray) -> Path:
+    return write_log(path, CandumpFormat(log=True).lines(CandumpBlock(frames, ("can0",))))
 
 
 def decode(*words: object) -> int:
