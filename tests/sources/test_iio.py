@@ -64,9 +64,6 @@ def set_raw(tree: Tree, number: int, counts: int, channel: str = "voltage") -> N
     (tree.root / f"iio:device{number}" / f"in_{channel}_raw").write_text(f"{counts}\n")
 
 
-# What there is
-
-
 def test_devices_are_found_by_number_name_label_and_place(tree: Tree) -> None:
     tree.add(0, "0-0050", {"voltage": 1}, "adc121c")
     tree.add(1, "0-0051", {"voltage": 1}, "adc121c", label="tip left")
@@ -112,9 +109,6 @@ def test_scale_of_a_channel_of_its_kind_or_none(tree: Tree) -> None:
 def test_temperature_in_hundredths_of_a_degree(tree: Tree, files: dict[str, str], hundredths: int) -> None:
     tree.add(0, "a", {"voltage": 1}, **files)
     assert PolledDevice(iio_sysfs.find("a", tree.root), ["voltage"]).temperature() == hundredths
-
-
-# Polling
 
 
 def test_readings_are_fresh_once_a_period_and_in_the_order_of_the_gauges(three: Tree) -> None:

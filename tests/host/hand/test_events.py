@@ -31,11 +31,7 @@ def test_a_life() -> None:
     assert seen(supervisor, 11.0, (0x705, "05")) == [(5, "heartbeat_back", 5)]
     assert seen(supervisor, 11.1, (0x705, "00"), (0x705, "7f")) == [(5, "boot_up", 0), (5, "state", 127)]
     assert supervisor.state_name(5) == "pre-operational"
-
-
-def test_the_toggle_bit_of_guarding_is_no_state() -> None:
-    supervisor = Supervisor([5])
-    assert seen(supervisor, 0.0, (0x705, "05"), (0x705, "85")) == [(5, "heartbeat_back", 5)]
+    assert seen(supervisor, 11.2, (0x705, "05"), (0x705, "85")) == [(5, "state", 5)]  # the toggle bit of guarding
 
 
 def test_emcy() -> None:

@@ -23,20 +23,7 @@ from tipforce_tools.writing.writers import Shape
 from tools.decode.logs import decode, log_lines, write_log
 
 READING = Reading(Layouts(4, (1, 2)))
-KINDS = [
-    "gauges",
-    "contact",
-    "contact",
-    "gauges",
-    "health",
-    "emcy",
-    "heartbeat",
-    "boot",
-    "sync",
-    "read",
-    "serial",
-    "bad",
-]
+KINDS = ["gauges", "contact"] * 2 + ["health", "emcy", "heartbeat", "boot", "sync", "read", "serial", "bad"]
 EMCY_CODES = (0x5000, 0xFF10, 0x0000, 0x4200)
 STEPS = st.tuples(
     st.sampled_from(KINDS),

@@ -111,12 +111,6 @@ def at(model: Model, t_ms: float) -> list[FingerState]:
     return model.picture(START_NS + round(t_ms * MS)).states
 
 
-def test_the_newest_sample_is_live() -> None:
-    state = at(filled(), 490)[0]
-    assert (state.word, state.contact[0]) == ("live", 49.0)
-    assert at(filled(), 255)[0].contact[0] == 25.0  # any moment of the past
-
-
 @pytest.mark.parametrize(("t_ms", "word"), [(589, "live"), (591, "stale"), (2480, "stale"), (2500, "silent")])
 def test_a_stream_that_stops_is_stale_then_silent(t_ms: float, word: str) -> None:
     state = at(filled(), t_ms)[1]
