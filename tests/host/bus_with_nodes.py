@@ -113,7 +113,6 @@ def beam_calibration(case: str = "I", /, **changes: Any) -> Calibration:
 
 
 def apply_load(connection: Bus, node_id: int, P: float, phi_deg: float, theta_deg: float) -> None:
-    """Load a simulated finger."""
     sdo = connection.sdo(node_id)
     for entry, value in ((od.SIMULATION_P, P), (od.SIMULATION_PHI, phi_deg), (od.SIMULATION_THETA, theta_deg)):
         sdo.write(entry, value)

@@ -32,12 +32,10 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         super().__init__(self._clock)
 
     def time(self) -> float:
-        """The virtual time in seconds."""
         return self._clock.now_s
 
 
 def run(work: Coroutine[Any, Any, T]) -> T:
-    """Run a coroutine in virtual time."""
     with asyncio.Runner(loop_factory=VirtualLoop) as runner:
         return runner.run(work)
 
@@ -56,7 +54,6 @@ class DelayedBus:
             device.step(0)
 
     def send(self, message: can.Message, _timeout: float | None = None) -> None:
-        """Let every device take the frame."""
         now_us = round(1e6 * self._loop.time())
         frame = message.arbitration_id, bytes(message.data)
         self.sent.append(frame)

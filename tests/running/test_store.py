@@ -35,7 +35,6 @@ def node(path: Path) -> Finger:
 
 
 def stored(path: Path, serial: int = 1) -> Finger:
-    """A node that was calibrated, its calibration and a changed heartbeat time stored."""
     talk = node(path)
     talk.stage(record(serial=serial))
     assert talk.commit() == talk.put("I", 0x1010, 1, SAVE) == 0

@@ -14,6 +14,7 @@ from tipforce.host import FRAME, frame_array
 from tipforce.samples.assembler import Assembler
 from tipforce.samples.reasons import Status
 from tipforce.samples.record import JoinedSamples
+from tools.decode.logs import write_frames
 
 NODES = (1, 2)
 PDOS = {m.cob_id_base + n: (n, m) for m in tpdo_messages(3) for n in NODES if m.cob_id_base}
@@ -41,7 +42,6 @@ def sequence(seed: int, latches: int = 60) -> Frames:
 
 
 def cut(frames: Frames, seed: int) -> list[JoinedSamples]:
-    """The samples of frames in random parts."""
     pick, assembler, at, parts = random.Random(seed), Assembler(PDOS), 0, []
     while at < len(frames):
         count = pick.choice((1, 2, 7, 50))
@@ -51,7 +51,6 @@ def cut(frames: Frames, seed: int) -> list[JoinedSamples]:
 
 
 def numbers(*columns: np.ndarray) -> list[tuple[float, ...]]:
-    """Rows of columns, for comparison."""
     table = np.nan_to_num(np.column_stack([np.asarray(column, dtype=np.float64) for column in columns]), nan=-1e9)
     return sorted(tuple(row) for row in table.round(6).tolist())
 
@@ -59,9 +58,7 @@ def numbers(*columns: np.ndarray) -> list[tuple[float, ...]]:
 @pytest.mark.parametrize("seed", range(12))
 def test_samples_are_those_of_the_log(seed: int, tmp_path: Path) -> None:
     frames = sequence(seed)
-    lines = [f"({t_ns / 1e9:.6f}) can0 {can_id:03X}#{data.hex()}\n" for t_ns, can_id, data in frames]
-    (tmp_path / "frames.log").write_text("".join(lines))
-    log = read_log(tmp_path / "frames.log")
+    log = read_log(write_frames(tmp_path / "frames.log", frame_array(frames)))
     parts = cut(frames, seed)
     for node in NODES:
         found = []

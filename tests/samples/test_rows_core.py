@@ -22,8 +22,6 @@ Frame = tuple[int, int, bytes]
 
 
 class InPython(Collector):
-    """The same without the core."""
-
     def _enter(self) -> bool:
         return False
 
@@ -41,7 +39,6 @@ class Bus:
         return self.pick.random() < self.trouble
 
     def frames(self) -> list[Frame]:
-        """From one SYNC to the next."""
         pick, late, self.late = self.pick, self.late, []
         self.number = self.number % 240 + 1
         self.t_ns += 1_000_000 + pick.randrange(-900, 900)
@@ -71,13 +68,11 @@ class Bus:
 
 
 def content(rows: Rows) -> Any:
-    """All of a block."""
     raw = [(t_ns, number, [*words], [*reasons]) for t_ns, number, words, reasons, _ in rows.raw]
     return rows.first, raw, rows.counter.tolist(), {name: column.tobytes() for name, column in rows.columns.items()}
 
 
 def tally(collector: Collector) -> Any:
-    """The counts."""
     return [value.tolist() if isinstance(value, np.ndarray) else value for value in astuple(collector.tally)]
 
 

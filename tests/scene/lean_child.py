@@ -13,7 +13,6 @@ CALLS = {"contact": 0, "force": 0}
 
 
 def count_calls() -> None:
-    """Count what a node computes, at the places where it does."""
     from tipforce.fingertip.calibration import Active
     from tipforce.sensor.contact import scalar
 

@@ -15,8 +15,6 @@ DISABLED, READY, ON, ENABLED, QUICK, FAULT = 0x40, 0x21, 0x23, 0x27, 0x07, 0x08
 
 
 class Axis(Conversation):
-    """A drive that is OPERATIONAL, with node-id 5."""
-
     def __init__(self) -> None:
         self.drive = Drive()
         self.simulated = SimulatedDevice(read_eds(shipped_eds("cia402"), 5), self.drive)

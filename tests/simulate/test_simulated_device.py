@@ -193,19 +193,6 @@ def test_faults(tmp_path: Path) -> None:
         device.fault("slow", ms=1)
 
 
-def test_planned_faults_begin_and_end(tmp_path: Path) -> None:
-    device = press(tmp_path)
-    device.faults.plan("emcy", 0.5, 0.25, code=0x4210)
-    talk = Conversation(device, emcy=True)
-    talk.sent.clear()
-    talk.advance(400_000)
-    assert talk.sent == []
-    talk.advance(200_000)
-    assert [data[:2] for _, data in talk.sent] == [b"\x10\x42"]
-    talk.advance(200_000)
-    assert [data[:2] for _, data in talk.sent] == [b"\x10\x42", b"\0\0"]
-
-
 MACHINE = """\
 [[device]]
 eds = "press.eds"

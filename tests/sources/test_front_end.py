@@ -21,7 +21,6 @@ NO_OBJECT = 0x06020000
 
 
 def behind(front_end: FrontEnd | None, load: tuple[float, float, float] = PUSH, calibrated: bool = True) -> Finger:
-    """A finger whose gauges are behind this front end."""
     source = SimulatedSource(strain_per_newton(), front_end=front_end)
     source.load = load
     talk = Finger(fingertip_node(5, source), source)

@@ -31,7 +31,6 @@ def tree(tmp_path: Path) -> Tree:
 
 @pytest.fixture
 def three(tree: Tree) -> Tree:
-    """Three devices with a channel each."""
     for k in range(3):
         tree.add(k, f"0-005{k}", {"voltage": 2048 + 10 * k}, "adc121c")
     return tree
@@ -46,8 +45,6 @@ def source(parts: list[PolledDevice], gauges: int = 3, **options: object) -> Iio
 
 
 class Talk(Finger):
-    """A node on a source, operational, with its EMCY messages."""
-
     def __init__(self, given: IioSource) -> None:
         super().__init__(fingertip_node(5, given), given, emcy=True)
 
@@ -59,16 +56,12 @@ class Talk(Finger):
         return pdos.status, pdos.counter, pdos.gauges
 
     def emcys(self) -> list[tuple[int, int, int]]:
-        """(code, detail, cured code) since the last call."""
         found = [struct.unpack("<HxHHx", data) for can_id, data in self.take() if can_id == 0x085]
         return [(code, first, 0) if code else (0, second, first) for code, first, second in found]
 
 
 def set_raw(tree: Tree, number: int, counts: int, channel: str = "voltage") -> None:
     (tree.root / f"iio:device{number}" / f"in_{channel}_raw").write_text(f"{counts}\n")
-
-
-# What there is
 
 
 def test_devices_are_found_by_number_name_label_and_place(tree: Tree) -> None:
@@ -116,9 +109,6 @@ def test_scale_of_a_channel_of_its_kind_or_none(tree: Tree) -> None:
 def test_temperature_in_hundredths_of_a_degree(tree: Tree, files: dict[str, str], hundredths: int) -> None:
     tree.add(0, "a", {"voltage": 1}, **files)
     assert PolledDevice(iio_sysfs.find("a", tree.root), ["voltage"]).temperature() == hundredths
-
-
-# Polling
 
 
 def test_readings_are_fresh_once_a_period_and_in_the_order_of_the_gauges(three: Tree) -> None:
@@ -294,8 +284,6 @@ def test_scan_layout_follows_index_and_alignment() -> None:
 
 
 class Capture:
-    """A buffered device whose scans the test writes."""
-
     def __init__(self, tree: Tree, stamped: bool = True, trigger: str = "timer") -> None:
         self.path = tree.add(0, "spi0.0", {"voltage0": 0, "voltage1": 0, "voltage2": 0}, "ad7124", "be:s24/32>>8")
         self.fifo = tree.add_buffer(self.path, stamped)

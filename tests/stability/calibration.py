@@ -44,7 +44,6 @@ def calibration_staged_not_finite() -> Observed:
 
 
 def _conditioned(kappa: float) -> list[list[float]]:
-    """Return a rotated matrix with singular values 1e4, 1e4 and 1e4 / kappa, its rows rounded to REAL32."""
     left, _ = np.linalg.qr(np.array([[2.0, 1.0, 0.5], [-1.0, 3.0, 1.0], [0.5, -1.0, 2.0]]))
     right, _ = np.linalg.qr(np.array([[1.0, 2.0, -1.0], [0.5, 1.0, 3.0], [2.0, -1.0, 0.3]]))
     C: list[list[float]] = (1e4 * left @ np.diag([1.0, 1.0, 1.0 / kappa]) @ right).tolist()

@@ -84,7 +84,6 @@ RECORD = Path(__file__).parents[2] / "tools" / "tipforce_lab" / "report" / "case
 
 
 def cases() -> list[Case]:
-    """Return all cases by area."""
     return [case for area in AREAS for case in cases_of(importlib.import_module(f"stability.{area}"))]
 
 

@@ -65,12 +65,10 @@ def test_rows() -> None:
 
 
 def _gives(value: Any) -> Any:
-    """A fault: the attribute gives this, whatever the arguments."""
     return lambda _right: lambda *_arguments: value
 
 
 def _times(factor: float) -> Any:
-    """A fault: the result is multiplied."""
     return lambda right: lambda *arguments, **named: factor * right(*arguments, **named)
 
 

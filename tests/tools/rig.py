@@ -3,6 +3,7 @@
 import itertools
 import json
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -43,6 +44,14 @@ class Clock:
     def sleep(self, seconds: float) -> None:
         assert seconds > 0
         self.now_s += seconds
+
+
+def until(condition: Callable[[], object]) -> None:
+    """Wait for it, on a loaded machine too."""
+    deadline_s = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.002)
 
 
 class Ended(NamedTuple):

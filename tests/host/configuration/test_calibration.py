@@ -72,17 +72,6 @@ def test_an_offset_between_two_real32_survives_a_file(tmp_path: Path) -> None:
         assert read_calibration(path).record() == calibration.record()
 
 
-def test_the_record_is_158_bytes_in_the_order_of_the_dictionary() -> None:
-    calibration = beam_calibration(offset_strain=np.array([1e-6, 2e-6, 3e-6]), tip_radius_m=0.012)
-    record = calibration.record()
-    assert len(record) == 158
-    np.testing.assert_allclose(struct.unpack_from("<9f", record), calibration.C.ravel(), rtol=1e-6)
-    np.testing.assert_allclose(struct.unpack_from("<3f", record, 36), [1e-6, 2e-6, 3e-6], rtol=1e-6)
-    assert struct.unpack_from("<IIfB", record, 48) == (7, 20260102, 20.0, 1)
-    assert struct.unpack_from("<f", record, 85)[0] == pytest.approx(0.012)
-    assert record[105] == 1
-
-
 def test_its_arrays_are_its_own() -> None:
     """What is prepared from a calibration, as by ``estimate``, stays true."""
     C = np.array(beam_calibration().C)

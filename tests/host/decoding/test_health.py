@@ -2,13 +2,13 @@
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from fingertip.finger import PUSH, Finger
 from fingertip.test_judgement import drift, redundant
-from tipforce.fingertip.node import Fingertip
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.decoding.health import ALL, TOLD_BY_EMCY, Health, of_emcy
@@ -35,9 +35,9 @@ def followed(talk: Finger, health: Health, decoder: Decoder, syncs: int) -> int:
         talk.step([(0x80, b"")])
         sent = frames(talk.take(), 1000 * talk.now_us)
         health.take(sent, decoder.decode(sent).values())
-    application = talk.device.application
-    assert isinstance(application, Fingertip)
-    return application.sample.faults
+    application: Any = talk.device.application
+    faults: int = application.sample.faults
+    return faults
 
 
 def test_the_host_follows_emcy_and_tpdo4() -> None:
@@ -86,8 +86,7 @@ def logged(path: Path, with_tpdo4: bool, skipped: tuple[int, ...] = ()) -> list[
     if with_tpdo4:
         assert talk.put("I", 0x1803, 1, 0x40000485) == 0
         talk.take()
-    application = talk.device.application
-    assert isinstance(application, Fingertip)
+    application: Any = talk.device.application
     lines, faults = [], []
     for count in range(100):
         drift(talk, 3, 50.0 if 30 <= count < 60 else 0.0)
@@ -126,8 +125,7 @@ def test_a_log_joins_them_to_the_samples(with_tpdo4: bool, tmp_path: Path) -> No
 @pytest.mark.parametrize("microstrain", [0.0, 50.0])
 def test_live_values_from_gauges_do_without_the_gauge_that_the_node_left_out(microstrain: float) -> None:
     talk = redundant(GAUGES)
-    application = talk.device.application
-    assert isinstance(application, Fingertip)
+    application: Any = talk.device.application
     drift(talk, 3, microstrain)
     talk.now_us += 1000
     talk.step([(0x80, b"")])

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 import tipforce
-from tipforce.host.decoding.counters import SyncModulus, Tally
-from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.decoding.counters import SyncModulus
 from tipforce.host.decoding.sample_rule import SAMPLES
 from tipforce.host.frames.frame_array import FrameArray, frame_array
+from tools.decode.logs import write_frames
 
 Sent = tuple[int, bytes]
 
@@ -42,29 +42,10 @@ def framed(sent: list[Sent]) -> FrameArray:
     return frame_array([(1_000_000 * k, can_id, data) for k, (can_id, data) in enumerate(sent)])
 
 
-def log_file(folder: Path, sent: list[Sent]) -> Path:
-    path = folder / "run.log"
-    lines = [f"({1e-3 * k:.6f}) can0 {can_id:03X}#{data.hex().upper()}\n" for k, (can_id, data) in enumerate(sent)]
-    path.write_text("".join(lines))
-    return path
-
-
 @pytest.mark.parametrize("name", CASES)
 def test_a_log_says_how_many_were_lost(tmp_path: Path, name: str) -> None:
     sent, lost = CASES[name]
-    assert tipforce.read_log(log_file(tmp_path, sent)).lost == {5: lost}
-
-
-@pytest.mark.parametrize("name", CASES)
-@pytest.mark.parametrize("size", [7, 100, 10_000])
-def test_blocks_of_any_size(name: str, size: int) -> None:
-    sent, lost = CASES[name]
-    frames, tally, modulus, decoder = framed(sent), Tally(), SyncModulus(), Decoder(3, (5,))
-    for start in range(0, len(frames), size):
-        for part in modulus.parts(frames[start : start + size]):
-            for samples in decoder.decode(part).values():
-                tally.add_samples(samples, modulus.modulus)
-    assert tally.lost() == {("", 5): lost}
+    assert tipforce.read_log(write_frames(tmp_path / "run.log", framed(sent))).lost == {5: lost}
 
 
 def test_modulus() -> None:

@@ -56,7 +56,6 @@ class Sequence:
         self._rows: list[tuple[int | None, bool, list[float]]] = []
 
     def run(self, syncs: int = 150) -> Sequence:
-        """Run and check."""
         number = self._random.randint(1, self._modulus)
         for serial in range(1, syncs + 1):
             number = number % self._modulus + 1

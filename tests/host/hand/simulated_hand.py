@@ -87,19 +87,15 @@ class Line:
         self._step(serial, [])
 
     def switch_off(self, serial: int) -> None:
-        """Cut its power."""
         del self.devices[serial], self._due_us[serial]
 
     def now_s(self) -> float:
-        """The simulated time."""
         return 1e-6 * self.now_us
 
     def now_ns(self) -> int:
-        """The same as a time stamp."""
         return _BEGIN_NS + 1000 * self.now_us
 
     def at(self, after_us: int, act: Callable[[], None]) -> None:
-        """Do something later."""
         heapq.heappush(self._queue, (self.now_us + after_us, next(self._numbers), act))
 
     def put(self, can_id: int, data: bytes, sender: object = None, seen: bool = True) -> None:
@@ -121,7 +117,6 @@ class Line:
             self.at(LATENCY_US, partial(self.put, can_id, bytes(data), serial))
 
     def advance(self, until_us: int) -> None:
-        """Let time pass."""
         while True:
             next_us = min([self._next_look_us, *self._due_us.values(), *[one[0] for one in self._queue[:1]]])
             if next_us > until_us:
@@ -145,13 +140,10 @@ class Line:
                         self._step(serial, [])
 
     def run(self, seconds: float) -> None:
-        """Let time pass from here on."""
         self.advance(self.now_us + round(1e6 * seconds))
 
 
 class Channel(SdoChannel):
-    """SDO whose waiting lets simulated time pass."""
-
     def __init__(self, line: Line, network: Any, node_id: int) -> None:
         super().__init__(network, node_id, clock=line.now_s)
         self._line = line
@@ -169,8 +161,6 @@ class Channel(SdoChannel):
 
 
 class Connection(Bus):
-    """A host on the line."""
-
     def __init__(self, line: Line, echo: bool = True) -> None:
         def send(message: can.Message) -> None:
             line.put(message.arbitration_id, bytes(message.data), seen=echo)
@@ -251,7 +241,6 @@ class SimulatedHand:
         hand.on_rows(self._check)
 
     def kinds(self, node_id: int) -> list[str]:
-        """What happened to a finger."""
         return [event.kind for event in self.events if event.node_id == node_id]
 
     def _check(self, rows: Rows) -> None:
@@ -328,7 +317,6 @@ def simulated_hand(
 
 
 def _bring_up(hand: Hand) -> None:
-    """As ``Hand.bring_up``, without the search for nodes."""
     for plan in hand.file.finger:
         report = bring_up_module.FingerReport(plan)
         wanted = bring_up_module.wanted_settings(hand.file, plan)

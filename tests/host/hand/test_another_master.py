@@ -224,9 +224,6 @@ def test_a_pair(policy: str, how: str, case: tuple[Entry[Any], bytes], gap_us: i
         decided(hand, before, policy, f"{how}, then one object", case[0])
 
 
-# --- the holes by name ----------------------------------------------------------------------------------------------
-
-
 def write(entry: Entry[int] | Entry[float], value: float) -> Write:
     return entry.index, entry.sub, entry.encode(value)  # type: ignore[arg-type]
 

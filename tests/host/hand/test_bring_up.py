@@ -23,7 +23,6 @@ from tipforce.host.network.bus import Bus
 
 
 def node(node_id: int, serial: int, folder: Path) -> Device:
-    """A fingertip that can store; 255 is one without a node-id."""
     return finger(node_id, store=folder / f"node-{serial}.json", serial=serial)
 
 
@@ -46,7 +45,6 @@ def hand_of(*devices: Device) -> Iterator[tuple[Bus, FaultyBus]]:
 
 
 def up(connection: Bus, hand: HandFile) -> tuple[list[FingerReport], list[Event]]:
-    """Bring up and keep the events."""
     events: list[Event] = []
     return bring_up(connection, hand, events.append)[0], events
 

@@ -14,12 +14,10 @@ from tipforce.samples.record import Rows, missing_contact
 
 
 def block(first: int, count: int = 1) -> Rows:
-    """Rows numbered from ``first``."""
     return Rows(first, [(first + k, 0, [0], [0], [1]) for k in range(count)], (1,), ())
 
 
 def whole(rows: Rows) -> tuple[Rows]:
-    """Blocks as they are."""
     return (rows,)
 
 

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
 from tipforce.host.hand.link import Jitter, ThreadSync
 from tipforce.host.hand.recovery import RecoveryQueue
+from tools.rig import until
 
 WAIT_S = 60.0
 
@@ -40,14 +41,6 @@ def hand(tmp_path: Path) -> Iterator[Hand]:
         assert [str(report) for report in hand.bring_up()] == ["finger 1: up", "finger 2: up"]
         hand.start()
         yield hand
-
-
-def until(condition: Callable[[], object]) -> None:
-    """Wait for it."""
-    deadline_s = time.monotonic() + WAIT_S
-    while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.001)
 
 
 def test_every_sync_gives_a_row_with_every_finger(hand: Hand) -> None:

@@ -34,7 +34,6 @@ def hand(bus: tuple[Bus, FaultyBus]) -> Iterator[PolledHand]:
 
 
 def test_the_pdos_of_a_sync_are_of_one_sample(hand: PolledHand) -> None:
-    """Gauges and contact carry the same counter, and the counter goes up by one from SYNC to SYNC."""
     counters = []
     for _ in range(30):
         row = hand.sample(timeout_s=2.0)

@@ -22,7 +22,6 @@ PERIOD_NS = 1_000_000
 
 
 def sync(number: int) -> tuple[int, bytes]:
-    """A SYNC with its number."""
     return 0x80, bytes((number,))
 
 
@@ -53,7 +52,6 @@ class Stream:
         self.periods = 0
 
     def add(self, *frames: tuple[int, bytes]) -> list[list[float]]:
-        """P of each finger in the rows that came out."""
         timed = []
         for can_id, data in frames:
             self.periods += can_id == 0x80
@@ -76,9 +74,6 @@ class Stream:
             place += size
 
 
-# --- numbered
-
-
 def test_a_row_is_out_as_soon_as_it_is_whole() -> None:
     stream = Stream(1, 2)
     assert stream.add(answer(1, 7)) == []  # before any SYNC
@@ -94,7 +89,6 @@ def test_a_row_is_out_as_soon_as_it_is_whole() -> None:
 
 
 def unnumbered(*counters: int | None, P_mN: int = 1000) -> list[tuple[int, bytes]]:
-    """SYNCs without numbers, and the answers of finger 1 with these counters; None: there is none."""
     return [frame for c in counters for frame in ([SYNC] if c is None else [SYNC, answer(1, c, P_mN)])]
 
 
@@ -248,9 +242,6 @@ def test_the_count_of_a_foreign_producer_is_learnt() -> None:
     assert stream.collector.tally.unreceived == 0
 
 
-# --- without numbers
-
-
 def test_pdos_of_two_samples_are_mixed_and_not_shown() -> None:
     stream = Stream(1, messages=("Contact", "Gauges"))
     stream.add(SYNC, answer(1, 1), answer(1, 1, message="Gauges"), SYNC, answer(1, 2), answer(1, 3, message="Gauges"))
@@ -349,16 +340,12 @@ def test_a_finger_that_may_send_anothers_pdo_hides_the_other() -> None:
     assert stream.reasons == [[CHANGED, CHANGED, PRESENT]]
 
 
-# --- both
-
-
 @pytest.mark.parametrize("numbered", [True, False])
 @given(
     st.lists(st.tuples(st.booleans(), st.booleans(), st.permutations([0, 1])), max_size=30),
     st.lists(st.integers(1, 9), min_size=1, max_size=30),
 )
 def test_however_the_stream_is_cut(numbered: bool, plan: list[tuple[bool, bool, list[int]]], cuts: list[int]) -> None:
-    """Rows do not depend on how the frames were cut into blocks."""
     frames, expected = [], []
     for k, (first, second, order) in enumerate(plan, start=1):
         answers = [answer(1, k, k) if first else None, answer(2, k, 500 + k) if second else None]

@@ -32,7 +32,6 @@ def can_frame(can_id: int, data: bytes, length: int | None = None) -> bytes:
 
 @pytest.fixture(autouse=True, params=["core", "Python"])
 def _body(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What reads the datagrams."""
     if request.param == "Python":
         monkeypatch.setattr(receive, "core", None)
     elif core is None:
@@ -41,7 +40,6 @@ def _body(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> No
 
 @contextmanager
 def connected(channel: str = "vcan0", capacity: int = 256) -> Iterator[tuple[SocketReceiver, socket.socket]]:
-    """A receiver, and the socket that is its bus."""
     if not receive.AVAILABLE:
         pytest.skip("needs the sockets of Linux")
     one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

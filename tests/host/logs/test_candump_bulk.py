@@ -35,7 +35,6 @@ def _answer(frames: FrameArray, timed: bool, parser: CandumpParser, error: str) 
 
 
 def line_by_line(text: bytes, *, strict: bool = False, deltas: bool = False) -> Answer:
-    """What the line parser says."""
     frames, timed, error = bytearray(), True, ""
     parser = CandumpParser(strict=strict, deltas=deltas)
     for line in text.removesuffix(b"\n").split(b"\n") if text else ():

@@ -28,14 +28,12 @@ LINES = b"".join(b"(1700000000.%06d) can0 285#%016X\n" % (k, k * 2654435761) for
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Limits at which a test is fast."""
     monkeypatch.setattr(lines, "FREE_BYTES", FREE)
     monkeypatch.setattr(lines, "MOST_CHUNK_BYTES", CHUNK)
     monkeypatch.setattr(lines, "LONGEST_LINE", LINE)
 
 
 def gz(data: bytes) -> bytes:
-    """The smallest gzip."""
     return gzip.compress(data, 9)
 
 
@@ -65,7 +63,6 @@ def mcap(path: Path, kind: CompressionType, message: bytes) -> None:
 
 
 def database(path: Path, sql: str) -> None:
-    """An SQLite file."""
     with sqlite3.connect(path) as connection:
         connection.execute(sql)
     connection.close()
@@ -114,7 +111,6 @@ HOSTILE: dict[str, tuple[str, Callable[[Path], object], str]] = {
 
 
 def read(path: Path) -> None:
-    """Read a log, strictly."""
     frames = 0
     with open_log(path, strict=True) as log:
         for block in log:

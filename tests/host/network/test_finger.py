@@ -24,8 +24,6 @@ LOAD = (4.4, 90.0, 60.0)
 
 
 class Bench(NamedTuple):
-    """One calibrated, loaded, operational node."""
-
     connection: Bus
     bus: FaultyBus
     client: Finger
@@ -92,29 +90,16 @@ def test_the_host_sends_no_calibration_that_no_sensor_can_have(bench: Bench) -> 
     assert not bench.bus.sent
 
 
-NOT_FINITE = ("C", "offset_strain", "covariance_strain2", "tip_radius_m", "contact_on_newtons")
 CROSSED = ({"theta_min_deg": 170.0, "theta_max_deg": 10.0}, {"contact_on_newtons": 0.01, "contact_off_newtons": 0.02})
-ILL_CONDITIONED = (np.ones((3, 3)), np.zeros((3, 3)), np.diag([1.0, 1.0, 1e-5]))
-
-
-def spoiled(field: str, value: float) -> dict[str, object]:
-    """A field of a calibration with one value that is not finite."""
-    present = getattr(beam_calibration(), field)
-    if not isinstance(present, np.ndarray):
-        return {field: value}
-    present = present.copy()
-    present.flat[0] = value
-    return {field: present}
 
 
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        *((spoiled(field, value), r"0x06090030\): a value is not finite") for field in NOT_FINITE
-          for value in (np.nan, np.inf, -np.inf)),
+        ({"tip_radius_m": np.nan}, r"0x06090030\): a value is not finite"),
         *((changes, r"0x06090030\): .*theta minimum over maximum, contact-off over") for changes in CROSSED),
-        *(({"C": C}, r"0x06090031\): the condition number of C exceeds the limit 2105h:1") for C in ILL_CONDITIONED),
+        ({"C": np.ones((3, 3))}, r"0x06090031\): the condition number of C exceeds the limit 2105h:1"),
     ],
 )  # fmt: skip
 def test_the_node_refuses_what_no_sensor_can_have(bench: Bench, changes: dict[str, object], text: str) -> None:

@@ -343,8 +343,6 @@ def test_15_fingers_are_configured_in_the_time_of_the_slowest() -> None:
 
 
 class Talk(NamedTuple):
-    """A channel to node 5, and the bus."""
-
     sdo: SdoChannel
     bus: Any
 
@@ -399,7 +397,6 @@ class Trickle(DelayedBus):
     """A server that answers each request of a segment with one byte, later, for ever."""
 
     def send(self, message: Any, _timeout: float | None = None) -> None:
-        """Answer an initiate or segment request."""
         command = message.data[0]
         if command == 0x40:
             answer = b"\x40" + bytes(message.data[1:4]) + bytes(4)
@@ -424,7 +421,6 @@ class ShortQueue(DelayedBus):
     _queued = 0
 
     def send(self, message: Any, _timeout: float | None = None) -> None:
-        """Refuse a frame if the queue is full."""
         if self._queued == 8:
             self.refused += 1
             raise can.CanOperationError("Transmit buffer full")
@@ -447,10 +443,7 @@ async def test_a_full_transmit_queue_delays_a_block(talk: Talk) -> None:
 
 
 class NoBlocks(DelayedBus):
-    """A device without block transfer."""
-
     def send(self, message: Any, _timeout: float | None = None) -> None:
-        """Abort a block transfer as CiA 301 asks for."""
         if message.data[0] >> 5 in (5, 6):
             self.sent.append((message.arbitration_id, bytes(message.data)))
             abort = b"\x80" + bytes(message.data[1:4]) + struct.pack("<I", 0x05040001)

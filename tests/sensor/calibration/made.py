@@ -22,5 +22,4 @@ def simulated(seed: int, faults: Faults = CLEAN, gauges: tuple[str, ...] = layou
 
 
 def some(sim: Simulated, rows: IntArray | list[int]) -> Readings:
-    """Rows of a simulated calibration, without times."""
     return Readings(sim.strain[rows], sim.P_newtons[rows], sim.phi_rad[rows], sim.theta_rad[rows])

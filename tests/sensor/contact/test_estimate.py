@@ -1,6 +1,9 @@
 """Force to contact: round trips, range, tangency, misses; the status byte."""
 
 import math
+import re
+from collections.abc import Callable
+from functools import partial
 from math import atan2, inf, isnan, nan, pi, radians
 
 import numpy as np
@@ -99,20 +102,24 @@ def test_estimate_from_strain_takes_offset_and_tare() -> None:
     assert np.flatnonzero(np.isnan(force_from_strain(C, V)).any(axis=1)).tolist() == [7]
 
 
-def test_shape_errors() -> None:
-    with pytest.raises(InputError, match=r"F has the shape \(2,\): allowed is \(\.\.\., 3\)"):
-        contacts([1.0, 2.0], pull=True)
-    with pytest.raises(InputError, match="broadcast"):
-        force_vector(np.ones(2), np.ones(3), 0.0)
-    for C, strain, offset, tare, name in (
-        (np.ones((3, 3, 1)), np.ones(3), 0.0, 0.0, "C has"),
-        (np.ones((4, 3)), np.ones(3), 0.0, 0.0, "C has"),
-        (np.ones((3, 4)), np.ones(3), 0.0, 0.0, "strain has"),
-        (np.ones((3, 3)), np.ones(3), np.ones(2), 0.0, "offset_strain has"),
-        (np.ones((3, 3)), np.ones(3), 0.0, np.ones(2), "tare_newtons has"),
-    ):
-        with pytest.raises(InputError, match=name):
-            force_from_strain(C, strain, offset, tare)
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (partial(contacts, [1.0, 2.0], pull=True), "F has the shape (2,): allowed is (..., 3)"),
+        (partial(force_vector, np.ones(2), np.ones(3), 0.0), "broadcast"),
+        (partial(force_from_strain, np.ones((3, 3, 1)), np.ones(3)), "C has"),
+        (partial(force_from_strain, np.ones((4, 3)), np.ones(3)), "C has"),
+        (partial(force_from_strain, np.ones((3, 4)), np.ones(3)), "strain has"),
+        (partial(force_from_strain, np.ones((3, 3)), np.ones(3), np.ones(2)), "offset_strain has"),
+        (partial(force_from_strain, np.ones((3, 3)), np.ones(3), 0.0, np.ones(2)), "tare_newtons has"),
+        (partial(check_limits, (0.1, 0.2, 0.0, 180.0)), "contact_off_newtons = 0.2"),
+        (partial(check_limits, (nan, 0.2, 0.0, 180.0)), "contact_off_newtons"),
+        (partial(check_limits, (0.2, 0.1, 180.0, 0.0)), "theta_min_deg = 180.0"),
+    ],
+)
+def test_errors(call: Callable[[], object], text: str) -> None:
+    with pytest.raises(InputError, match=re.escape(text)):
+        call()
 
 
 def bits(
@@ -215,16 +222,6 @@ def test_arrays_repeat_the_scalar_sample_by_sample(loads: list[tuple[float, floa
         present = bool(one & scalar.CONTACT_PRESENT)
         expected.append(one)
     assert status(found, u, u_miss, LIMITS, start).tolist() == expected
-
-
-def test_errors() -> None:
-    for limits, name in (
-        ((0.1, 0.2, 0.0, 180.0), "contact_off_newtons = 0.2"),
-        ((nan, 0.2, 0.0, 180.0), "contact_off_newtons"),
-        ((0.2, 0.1, 180.0, 0.0), "theta_min_deg = 180.0"),
-    ):
-        with pytest.raises(InputError, match=name):
-            check_limits(limits)
 
 
 @settings(max_examples=400)

@@ -34,7 +34,6 @@ SIX += [GaugePosition("V", "right", s) for s in (5e-3, 10e-3, 15e-3)]
 
 
 def structure(n: int) -> FloatArray:
-    """Strain per newton of n gauges."""
     if n == 8:
         return strain_matrix(FABRICATED, POINTS)
     return position_matrix(FABRICATED, SIX if n == 6 else FIVE[:n])

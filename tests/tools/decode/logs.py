@@ -10,6 +10,9 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from tipforce.host.dataset.reader import opened
+from tipforce.host.frames.frame_array import FrameArray
+from tipforce.host.frames.frame_block import CandumpBlock
+from tipforce.host.logs.candump_format import CandumpFormat
 from tipforce_tools.cli.main import main
 
 START_US = 1_700_000_000_000_000
@@ -47,18 +50,19 @@ def log_lines(
 
 
 def write_log(path: Path, lines: list[str]) -> Path:
-    """A log of these lines."""
     path.write_text("".join(line + "\n" for line in lines))
     return path
 
 
+def write_frames(path: Path, frames: FrameArray) -> Path:
+    return write_log(path, CandumpFormat(log=True).lines(CandumpBlock(frames, ("can0",))))
+
+
 def decode(*words: object) -> int:
-    """Run `tipforce decode`, quietly."""
     return main(["decode", "-q", *map(str, words)])
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:
-    """The rows of a CSV file."""
     return list(csv.DictReader(io.StringIO(path.read_text())))
 
 
@@ -68,7 +72,6 @@ def number(text: str) -> float | None:
 
 
 def records_of(text: str) -> list[dict[str, Any]]:
-    """JSON lines."""
     return [json.loads(line) for line in text.splitlines()]
 
 
@@ -84,7 +87,6 @@ def _cells(row: dict[str, Any]) -> tuple[Any, ...]:
 
 
 def rows_of_logs(*names: Path) -> list[tuple[Any, ...]]:
-    """The rows of one decode to a file."""
     path = names[0].with_suffix(".one.parquet")
     assert decode(*names, "-j", 1, "-o", path) == 0
     return sorted(_cells({"channel": "vcan0"} | row) for row in pq.read_table(path).to_pylist())

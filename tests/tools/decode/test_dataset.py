@@ -11,7 +11,6 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -24,13 +23,13 @@ from tipforce.host.dataset.store import FOLDER, Store, is_dataset
 from tipforce_tools.cli.main import main
 from tipforce_tools.decode import session
 from tools.decode.logs import decode, globbed, log_lines, rows_of, rows_of_dataset, rows_of_logs, write_log
+from tools.rig import until
 
 COMMAND = [sys.executable, "-m", "tipforce_tools.cli.main"]
 
 
 @pytest.fixture(autouse=True)
 def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Parts of 100 kB."""
     monkeypatch.setattr(session, "_DATASET_PIECE_BYTES", 100_000)
 
 
@@ -146,13 +145,13 @@ def test_a_log_is_followed(tmp_path: Path, lines: list[str]) -> None:
     words = ["decode", "-q", "--follow", str(tmp_path / "run*.log"), "-o", f"{data}/"]
     with subprocess.Popen([*COMMAND, *words]) as process, contextlib.ExitStack() as at_end:
         at_end.callback(process.kill)
-        _until(lambda: is_dataset(data))
+        until(lambda: is_dataset(data))
         with log.open("a") as stream:
             stream.write("".join(line + "\n" for line in lines[2000:]))
-        _until(lambda: opened(str(data))[1].sources[0].size == log.stat().st_size)
+        until(lambda: opened(str(data))[1].sources[0].size == log.stat().st_size)
         assert rows_of_dataset(data) == rows_of_logs(log)
         more = write_log(tmp_path / "run-2.log", [line.replace("(170000", "(170001") for line in lines])
-        _until(lambda: len(opened(str(data))[1].sources) == 2)  # the file that a rotation begins
+        until(lambda: len(opened(str(data))[1].sources) == 2)  # the file that a rotation begins
         (tmp_path / "packed.log.gz").write_bytes(gzip.compress(log.read_bytes()))
         for name in ("run*.log", "packed.log.gz"):
             assert decode(tmp_path / name, "--follow", "-o", tmp_path / "run.csv") == 2
@@ -160,13 +159,6 @@ def test_a_log_is_followed(tmp_path: Path, lines: list[str]) -> None:
         process.terminate()
         assert process.wait(30) == 130
     assert sorted(name for name in os.listdir(data / FOLDER) if "manifest" not in name) == []
-
-
-def _until(holds: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 60
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
 
 
 def test_behind_a_url(tmp_path: Path, lines: list[str]) -> None:

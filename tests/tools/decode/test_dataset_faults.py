@@ -17,7 +17,6 @@ from tools.decode.logs import decode, globbed, log_lines, rows_of_dataset, rows_
 
 @pytest.fixture(autouse=True)
 def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Parts of 30 kB."""
     monkeypatch.setattr(session, "_DATASET_PIECE_BYTES", 30_000)
 
 

@@ -23,20 +23,7 @@ from tipforce_tools.writing.writers import Shape
 from tools.decode.logs import decode, log_lines, write_log
 
 READING = Reading(Layouts(4, (1, 2)))
-KINDS = [
-    "gauges",
-    "contact",
-    "contact",
-    "gauges",
-    "health",
-    "emcy",
-    "heartbeat",
-    "boot",
-    "sync",
-    "read",
-    "serial",
-    "bad",
-]
+KINDS = ["gauges", "contact"] * 2 + ["health", "emcy", "heartbeat", "boot", "sync", "read", "serial", "bad"]
 EMCY_CODES = (0x5000, 0xFF10, 0x0000, 0x4200)
 STEPS = st.tuples(
     st.sampled_from(KINDS),
@@ -80,10 +67,7 @@ def lines_of(steps: list[tuple[str, int, int, int]], modulus: int) -> list[str]:
 
 
 class Rows:
-    """Keeps the rows of each part as text."""
-
     def write(self, number: int, tables: Iterable[Table], shape: Shape) -> list[str]:
-        """The rows."""
         del number
         return [text for table in tables if shape.fits(table) is not None for text in texts(table)]
 
@@ -147,7 +131,6 @@ def in_parts(log: Path, cuts: list[int], slots: int, order: random.Random) -> tu
 
 
 def one_pass(log: Path) -> tuple[list[str], Recording]:
-    """The rows and the recording of one pass."""
     recording = Recording(READING)
     return [row for table in tables_of_logs(recording, [str(log)]) for row in texts(table)], recording
 

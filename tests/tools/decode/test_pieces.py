@@ -76,7 +76,6 @@ def test_columns_and_buses_that_come_late(tmp_path: Path, form: str) -> None:
 
 
 def table_rows(path: Path) -> list[dict[str, object]]:
-    """The rows of a file, without the values that are missing."""
     if path.suffix == ".parquet":
         rows = pq.read_table(path).to_pylist()
     else:
@@ -87,7 +86,6 @@ def table_rows(path: Path) -> list[dict[str, object]]:
 
 def test_the_log_is_really_cut(log: Path) -> None:
     def cut(*words: str) -> list[Piece]:
-        """The pieces that are decoded apart."""
         parser = argparse.ArgumentParser()
         add_arguments(parser)
         return session.pieces_of(parser.parse_args([str(log), "-j", "3", *words]), "csv", [str(log)])

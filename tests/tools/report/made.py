@@ -67,7 +67,6 @@ def cases() -> list[Case]:
 
 
 def module(studies: Callable[[Effort, Callable[[], None]], list[Study]], steps: int = 1) -> types.ModuleType:
-    """A module as ``report.studies`` has them."""
     made = types.ModuleType("made")
     made.STEPS = steps  # type: ignore[attr-defined]
     made.studies = studies  # type: ignore[attr-defined]
@@ -75,7 +74,6 @@ def module(studies: Callable[[Effort, Callable[[], None]], list[Study]], steps: 
 
 
 def install(monkeypatch: pytest.MonkeyPatch, modules: dict[str, types.ModuleType], with_cases: bool = True) -> None:
-    """Make these the studies of `tipforce report`, and ``cases`` its cases."""
     for key, made in modules.items():
         monkeypatch.setitem(sys.modules, f"made_{key}", made)
     monkeypatch.setattr(run, "STUDIES", {key: (f"made_{key}", f"about {key}") for key in modules})

@@ -27,7 +27,6 @@ MS = 1_000_000
 
 
 def fingers(count: int = 2, pull: bool = False) -> tuple[Finger, ...]:
-    """Calibrated fingers of case I."""
     calibration = beam_calibration(pull=pull)
     return tuple(with_layout(Finger(n + 1, f"f{n + 1}", calibration), "I", None) for n in range(count))
 
@@ -67,7 +66,6 @@ class MovingSource(Source):
         self._rows = 0
 
     def pump(self) -> None:
-        """Rows up to now."""
         due = int((time.monotonic() - self._begun_s) / 0.01)
         if self.stopped:
             self._rows = due
@@ -132,13 +130,11 @@ class Page:
         self._number = 0
 
     def send(self, do: str, **request: Any) -> int:
-        """Send a request; its number."""
         self._number += 1
         self.socket.send(json.dumps({"id": self._number, "do": do} | request))
         return self._number
 
     def receive(self) -> dict[str, Any]:
-        """The next message."""
         found: dict[str, Any] = json.loads(self.socket.recv(WAIT_S))
         return found
 

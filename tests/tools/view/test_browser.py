@@ -1,5 +1,6 @@
 """The page in a real browser, headless Chromium: live, pause, scrub, replay, faults, tare, keyboard, export."""
 
+import contextlib
 import sys
 import threading
 from collections.abc import Iterator
@@ -15,24 +16,25 @@ from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT, FRONT_EN
 from tipforce.shipped_files import file_or_shipped
 from tipforce.watching.feeds import Finger, finger_maker
 from tipforce_tools.page.server import ViewServer
-from tipforce_tools.page.sources import LogSource, scene_source
+from tipforce_tools.page.sources import LogSource, Source, scene_source
+from tools.decode.logs import write_frames
 from tools.view.support import MovingSource, serving
-from tools.view.test_watcher import cycle, written
+from tools.view.test_watcher import cycle
 
 WAIT_MS = 60_000
 GOOD = CONTACT_PRESENT | CALIBRATED
 
 
-def new_page(browser: Browser, **options: Any) -> Page:
-    """A page that is waited for as long as a loaded machine needs."""
-    page = browser.new_page(**options)
-    page.set_default_timeout(WAIT_MS)
-    return page
+@contextlib.contextmanager
+def opened(browser: Browser, source: Source, rules: dict[str, bool] | None = None, **options: Any) -> Iterator[Page]:
+    """The page of a source, which is waited for as long as a loaded machine needs."""
+    with serving(source, **(rules or {})) as server, contextlib.closing(browser.new_page(**options)) as page:
+        page.set_default_timeout(WAIT_MS)
+        page.goto(server.url)
+        yield page
 
 
 class Shown:
-    """A source, its server and its page."""
-
     def __init__(self, source: MovingSource, server: ViewServer, page: Page) -> None:
         self.source, self.server, self.page = source, server, page
         self.wrong: list[str] = []
@@ -41,11 +43,9 @@ class Shown:
         page.goto(server.url)
 
     def word(self, node_id: int, text: str) -> None:
-        """Wait until a finger's state is so."""
         expect(self.page.locator(f'.finger[data-node="{node_id}"] .state')).to_contain_text(text)
 
     def mode(self, text: str) -> None:
-        """Wait until the page's mode is so."""
         expect(self.page.locator("#mode")).to_contain_text(text)
 
     def force(self, node_id: int) -> str:
@@ -57,7 +57,8 @@ def shown(browser: Browser, request: pytest.FixtureRequest) -> Iterator[Shown]:
     """A page of a moving source; parametrize indirectly with the server's rules."""
     source = MovingSource(3)
     with serving(source, **getattr(request, "param", {})) as server:
-        page = new_page(browser, viewport={"width": 1280, "height": 900}, color_scheme="light")
+        page = browser.new_page(viewport={"width": 1280, "height": 900}, color_scheme="light")
+        page.set_default_timeout(WAIT_MS)
         found = Shown(source, server, page)
         yield found
         page.close()
@@ -126,7 +127,7 @@ def test_a_page_connects_again(browser: Browser) -> None:
     """To the same server, and to another one at the same address, whose hand has other fingers."""
     with serving(MovingSource(3)) as server:
         port = server.guard.port
-        page = new_page(browser)
+        page = browser.new_page()
         page.goto(server.url)
         expect(page.locator("#mode")).to_have_text("live")
     expect(page.locator("#mode")).to_have_text("not live")
@@ -202,10 +203,8 @@ def test_it_fits_a_phone_and_follows_the_theme(shown: Shown) -> None:
 def test_a_log_is_replayed_to_its_end(browser: Browser, tmp_path: Path) -> None:
     """Of 15 s: a loaded machine shows the states between, too."""
     frames = [frame for k in range(1500) for frame in cycle(k, (1,) if 150 <= k < 1200 else (1, 2))]
-    source = LogSource(written(tmp_path / "run.log", frame_array(frames)), Finger)
-    with serving(source) as server:
-        page = new_page(browser)
-        page.goto(server.url)
+    source = LogSource(write_frames(tmp_path / "run.log", frame_array(frames)), Finger)
+    with opened(browser, source) as page:
         mode, second = page.locator("#mode"), page.locator('.finger[data-node="2"] .state')
         expect(mode).to_contain_text("replay")  # it opens playing, as a whole
         expect(page.locator("#live")).to_be_hidden()
@@ -236,16 +235,13 @@ def test_a_log_is_replayed_to_its_end(browser: Browser, tmp_path: Path) -> None:
         page.keyboard.press("Home")
         expect(mode).to_have_text("paused")
         expect(page.locator("#play")).to_have_text("Play")
-        page.close()
 
 
 @pytest.mark.parametrize("loops", [True, False], ids=["loops", "ends"])
 def test_a_scene_loops_or_ends_on_its_best_moment(browser: Browser, loops: bool) -> None:
     source = scene_source(file_or_shipped("hand", "scenes"), finger_maker(), 8.0, 9.0)
     source.loops = loops
-    with serving(source) as server:
-        page = new_page(browser, viewport={"width": 1280, "height": 900})
-        page.goto(server.url)
+    with opened(browser, source, viewport={"width": 1280, "height": 900}) as page:
         expect(page.locator("#frames")).to_contain_text("sim0")
         expect(page.locator("#python")).to_contain_text("tipforce.read_log")
         if loops:
@@ -262,7 +258,6 @@ def test_a_scene_loops_or_ends_on_its_best_moment(browser: Browser, loops: bool)
             assert source.rest_ns is not None
             shown = page.evaluate("() => Number(document.getElementById('scrub').value)")
             assert abs(shown - source.rest_ns / 1e6) < 20.0
-        page.close()
 
 
 def test_exports(shown: Shown, tmp_path: Path) -> None:
@@ -288,17 +283,16 @@ SPAN = "[window.tipforce.panel.from, window.tipforce.panel.to]"
 def recording(path: Path, rows: int = 200) -> LogSource:
     """A log of two fingers over two seconds, with gauges."""
     frames = [frame for k in range(rows) for frame in cycle(k, (1, 2))]
-    return LogSource(written(path / "run.log", frame_array(frames)), Finger)
+    return LogSource(write_frames(path / "run.log", frame_array(frames)), Finger)
 
 
 def test_scrubbing_and_zoom_keep_what_follows_visible(browser: Browser, tmp_path: Path) -> None:
     source = recording(tmp_path)
     start, end = (ns / 1e6 for ns in source.model.span_ns())
-    with serving(source) as server:
-        page = new_page(browser, viewport={"width": 1280, "height": 1200})
-        page.goto(server.url)
+    whole = [pytest.approx(start), pytest.approx(end)]
+    with opened(browser, source, viewport={"width": 1280, "height": 1200}) as page:
         expect(page.locator("#mode")).to_have_text("ended")
-        assert page.evaluate(SPAN) == [pytest.approx(start), pytest.approx(end)]
+        assert page.evaluate(SPAN) == whole
         chart = page.locator(".chart").first
         box = chart.bounding_box()
         assert box is not None
@@ -307,7 +301,7 @@ def test_scrubbing_and_zoom_keep_what_follows_visible(browser: Browser, tmp_path
         page.wait_for_function(
             "t => Math.abs(Number(document.getElementById('scrub').value) - t) < 60", arg=(start + end) / 2
         )
-        assert page.evaluate(SPAN) == [pytest.approx(start), pytest.approx(end)]
+        assert page.evaluate(SPAN) == whole
         page.mouse.move(left + 0.25 * width, box["y"] + 50)  # a drag selects half of it
         page.mouse.down()
         page.mouse.move(left + 0.5 * width, box["y"] + 50, steps=4)
@@ -320,8 +314,7 @@ def test_scrubbing_and_zoom_keep_what_follows_visible(browser: Browser, tmp_path
         low, high = page.evaluate(SPAN)
         assert high - low == pytest.approx(span, rel=0.05)
         page.click("#whole")
-        assert page.evaluate(SPAN) == [pytest.approx(start), pytest.approx(end)]
-        page.close()
+        assert page.evaluate(SPAN) == whole
 
 
 # The changed pixels' bounds when this force is drawn, in a drawing as large as one of five on a laptop.
@@ -381,9 +374,7 @@ def test_axe_finds_nothing(browser: Browser, tmp_path: Path) -> None:
     assert AXE.is_file(), "axe-core is missing: tools/bootstrap.sh test installs it"
     found = []
     for dark, source in ((False, MovingSource(2)), (True, recording(tmp_path, 20))):
-        with serving(source, allow_writes=True) as server:
-            page = new_page(browser, color_scheme="dark" if dark else "light")
-            page.goto(server.url)
+        with opened(browser, source, {"allow_writes": True}, color_scheme="dark" if dark else "light") as page:
             expect(page.locator(".finger")).to_have_count(2)
             page.evaluate(AXE.read_text())
             for width in (1280, 390):
@@ -393,5 +384,4 @@ def test_axe_finds_nothing(browser: Browser, tmp_path: Path) -> None:
                 assert page.evaluate("document.documentElement.scrollWidth") <= width
             top = page.evaluate("document.getElementById('fingers').getBoundingClientRect().top")
             assert top < 120  # on a phone the fingers are first
-            page.close()
     assert found == []

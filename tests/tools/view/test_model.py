@@ -20,7 +20,6 @@ GOOD = CALIBRATED | CONTACT_PRESENT
 
 
 def holding(count: int = 1, capacity: int = 100, gauges: int = 3) -> Model:
-    """A model without rows."""
     return Model(fingers(count), gauges, capacity=capacity)
 
 
@@ -110,12 +109,6 @@ def filled(count: int = 50, period_ms: int = 10, fingers: int = 2) -> Model:
 
 def at(model: Model, t_ms: float) -> list[FingerState]:
     return model.picture(START_NS + round(t_ms * MS)).states
-
-
-def test_the_newest_sample_is_live() -> None:
-    state = at(filled(), 490)[0]
-    assert (state.word, state.contact[0]) == ("live", 49.0)
-    assert at(filled(), 255)[0].contact[0] == 25.0  # any moment of the past
 
 
 @pytest.mark.parametrize(("t_ms", "word"), [(589, "live"), (591, "stale"), (2480, "stale"), (2500, "silent")])

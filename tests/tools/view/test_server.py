@@ -20,6 +20,7 @@ from tipforce_tools.page import connection as view_page
 from tipforce_tools.page import server as view_server
 from tipforce_tools.page.guard import CONTENT_SECURITY_POLICY, Guard, access_token, host_names
 from tipforce_tools.page.server import MAX_OTHERS, MAX_PAGES, ViewServer, static_files
+from tools.rig import until
 from tools.view.support import WAIT_S, MovingSource, Page, get, serving
 
 
@@ -139,7 +140,6 @@ def test_wrong_requests_are_refused() -> None:
 
 @contextlib.contextmanager
 def closed_with(code: int) -> Iterator[None]:
-    """The server closes the connection with this code in the block."""
     with pytest.raises(ConnectionClosed) as closed:
         yield
     assert closed.value.rcvd is not None
@@ -197,13 +197,6 @@ def test_the_buffer_as_csv() -> None:
         assert lines[0].startswith("t_s,node_id,name,P_N,phi_deg,theta_deg,u_P_N")
         assert len(lines) == 1 + 2 * source.model.counters.rows
         assert lines[2].split(",")[1:6] == ["2", "f2", lines[2].split(",")[3], "-90", "90"]
-
-
-def until(is_done: Callable[[], object]) -> None:
-    deadline_s = time.monotonic() + WAIT_S
-    while not is_done():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)
 
 
 def test_a_page_that_does_not_read_slows_nobody(monkeypatch: pytest.MonkeyPatch) -> None:

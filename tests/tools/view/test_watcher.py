@@ -30,6 +30,7 @@ from tipforce.watching.feeds import Finger, FrameFeed, Watcher, finger_maker
 from tipforce.watching.frame_sources import FrameSource
 from tipforce_tools.page.connection import drawing
 from tipforce_tools.page.sources import LiveSource, LogSource, scene_source
+from tools.decode.logs import write_frames
 from tools.view.support import MS, START_NS, WAIT_S, fingers
 
 STATUS = 3  # contact, calibrated
@@ -54,7 +55,6 @@ def cycle(k: int, nodes: tuple[int, ...], sync: bool = True, with_gauges: bool =
 
 
 def run(watcher: Watcher, *cycles: list[tuple[int, int, bytes]]) -> list[np.ndarray]:
-    """P of the rows, one array (m, k) for each block."""
     found = []
     for frames in cycles:
         blocks, _ = watcher.add(frame_array(frames), frames[-1][0] * 1e-9)
@@ -95,18 +95,6 @@ def test_health_tells_the_uncertainty_of_the_force() -> None:
     assert np.isnan(block.u[0, 1, 0])
 
 
-def written(path: Path, frames: FrameArray) -> Path:
-    """A candump log."""
-    lines = (
-        f"({t_ns // 10**9}.{t_ns % 10**9 // 1000:06d}) can0 {can_id:03X}#{bytes(data[:length]).hex().upper()}\n"
-        for t_ns, can_id, length, data in zip(
-            frames["t_ns"].tolist(), frames["can_id"].tolist(), frames["length"].tolist(), frames["data"], strict=True
-        )
-    )
-    path.write_text("".join(lines))
-    return path
-
-
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
     """Two seconds of two fingers; the second is gone for half of it, and has told why."""
@@ -114,7 +102,7 @@ def log(tmp_path: Path) -> Path:
     for k in range(200):
         frames += cycle(k, (1,) if 50 <= k < 150 else (1, 2))
     emcy = (START_NS + 505 * MS, 0x082, bytes.fromhex("3050210000000000"))
-    return written(tmp_path / "run.log", frame_array(sorted([*frames, emcy])))
+    return write_frames(tmp_path / "run.log", frame_array(sorted([*frames, emcy])))
 
 
 def test_a_log_is_shown_as_it_was(log: Path) -> None:
@@ -201,7 +189,6 @@ def test_a_page_names_once_what_calibrates_a_finger() -> None:
 
 @pytest.fixture(scope="module")
 def demo() -> LogSource:
-    """What `tipforce demo --view` shows."""
     return scene_source(file_or_shipped("hand", "scenes"), finger_maker())
 
 
