@@ -42,7 +42,6 @@ _context.set_forkserver_preload(
         "tipforce_tools.calibrate.fit",
         "tipforce_tools.dump", "tipforce_tools.dump.session", "tipforce_tools.log", "tipforce_tools.replay",
         "tipforce.host.live.receiver", "tipforce.host.live.send",
-        "tipforce_tools.view", "tipforce_tools.page.server", "tipforce_tools.page.sources",
     ]
 )  # fmt: skip
 
