@@ -311,12 +311,6 @@ def test_a_signal_ends_an_endless_loop(log: Path) -> None:
     assert "Traceback" not in err
 
 
-def test_a_packed_log_that_breaks_off(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "broken.log.gz").write_bytes(gzip.compress(MIXED_LOG.encode() * 100)[:100])
-    assert replay("-c", "x", str(tmp_path / "broken.log.gz")) == 2
-    assert "broken.log.gz: " in capsys.readouterr().err
-
-
 def test_a_real_bus_is_asked_for_first(
     log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -187,16 +187,11 @@ def test_error_and_remote_frames_are_no_values() -> None:
     assert (found.nodes, found.errors) == ((), 1)
 
 
-@pytest.mark.parametrize(
-    ("can_id", "length", "least", "worst"),
-    [(0x123, 8, 111, 135), (0x123, 0, 47, 55), (0x123 | EXTENDED_FLAG, 8, 131, 160)],
-)
-def test_the_load_of_frames(can_id: int, length: int, least: int, worst: int) -> None:
+def test_the_load_of_frames() -> None:
     """The figures for standard frames of 8 bytes are those of the text books: 111 bits at least, 135 at most."""
-    found = bus(fed([(k, can_id, bytes(length)) for k in range(2001)]), 2000)
-    assert found.frames_hz == pytest.approx(1000.0, rel=1e-2)
-    assert found.least_bits_hz == pytest.approx(least * 1000.0, rel=1e-2)
-    assert found.worst_bits_hz == pytest.approx(worst * 1000.0, rel=1e-2)
+    found = bus(fed([(k, 0x123, bytes(8)) for k in range(2001)]), 2000)
+    assert (found.frames_hz, found.least_bits_hz) == pytest.approx((1000.0, 111e3), rel=1e-2)
+    assert found.worst_bits_hz == pytest.approx(135e3, rel=1e-2)
 
 
 def test_the_same_node_on_two_buses() -> None:
@@ -348,14 +343,6 @@ def test_the_screen_shows_what_the_text_shows(width: int, log: Path) -> None:
     line = next(line for line in lines if line.startswith(row[0]))
     assert line.split()[-1] == row[-1]
     assert f"{node.readings['P'].value:.3f} N" in line
-
-
-def test_it_is_shown_at_each_interval(log: Path) -> None:
-    seen: list[int | None] = []
-    with open_log(log) as reader:
-        source = LogSource(reader, math.inf, 250 * MS)
-        assert session.run(Monitor(), source, lambda: False, 0.25, lambda _watched, now_ns: seen.append(now_ns))
-    assert [(t or 0) - (seen[0] or 0) for t in seen] == [250 * MS * k for k in range(7)]
 
 
 def test_it_ends_when_told(log: Path) -> None:
