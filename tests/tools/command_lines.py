@@ -7,26 +7,17 @@ from tipforce_tools.cli.completion import root_parser
 from tipforce_tools.cli.main import all_parsers
 
 
-def command_lines(parser: argparse.ArgumentParser, path: str = "tipforce") -> Iterator[tuple[str, list[str]]]:
-    """Each command line, with its commands or actions; empty where flags and values follow."""
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            yield path, list(action.choices)
-            for name, one in action.choices.items():
-                yield from command_lines(one, f"{path} {name}")
-            return
-    yield path, []
-
-
-def parsers(parser: argparse.ArgumentParser, path: str = "tipforce") -> Iterator[tuple[str, argparse.ArgumentParser]]:
-    """Each command line without further commands or actions, with its parser."""
+def parsers(
+    parser: argparse.ArgumentParser, path: str = "tipforce"
+) -> Iterator[tuple[str, argparse.ArgumentParser, list[str]]]:
+    """Each command line, its parser, and its commands or actions; none where flags and values follow."""
     subparsers = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
-    if not subparsers:
-        yield path, parser
-    for action in subparsers:
-        for name, one in action.choices.items():
-            yield from parsers(one, f"{path} {name}")
+    choices = subparsers[0].choices if subparsers else {}
+    yield path, parser, list(choices)
+    for name, one in choices.items():
+        yield from parsers(one, f"{path} {name}")
 
 
-LINES = dict(command_lines(root_parser("bash", all_parsers())))
-PARSERS = dict(parsers(root_parser("bash", all_parsers())))
+_ALL = list(parsers(root_parser("bash", all_parsers())))
+LINES = {path: names for path, _, names in _ALL}
+PARSERS = {path: parser for path, parser, names in _ALL if not names}

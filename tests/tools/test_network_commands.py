@@ -75,8 +75,6 @@ def test_nmt_to_all_is_one_frame(tipforce: Tipforce, bench: tuple[Bus, str]) -> 
     bench[0].buffer.clear()
     assert tipforce("nmt start all") == (0, "", "")
     bench[0].wait_for({0x705, 0x706})
-    err = tipforce("nmt start all --wait", code=2).err
-    assert "needs node-ids" in err
 
 
 @pytest.mark.usefixtures("quick_heartbeats")
@@ -117,9 +115,6 @@ def test_read_prints_the_contact_of_each_finger(tipforce: Tipforce, bench: tuple
     first, second = map(json.loads, out.splitlines())
     assert (code, first["node_id"], first["P_newtons"], first["reason"]) == (0, 6, None, "not calibrated")
     assert first["counter"] != second["counter"]
-    code, out, err = tipforce("read 9 --wait 0.2 --timeout 0.05 --retries 0")
-    assert (code, out) == (5, "")
-    assert "node 9" in err
 
 
 def test_lss_scan_finds_one_without_a_node_id(tipforce: Tipforce, unconfigured: tuple[Bus, str]) -> None:
@@ -141,8 +136,6 @@ def test_lss_assign_numbers_all(tipforce: Tipforce, unconfigured: tuple[Bus, str
     stored = FileStore(tmp_path / "9.json").load("lss")
     assert stored is not None
     assert stored.endswith(bytes((2, 0)))
-    err = tipforce("lss assign 4 --lss-timeout 0.05", code=5).err
-    assert "Configured nodes take no part" in err
 
 
 def test_lss_renumbers_a_configured_node(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:

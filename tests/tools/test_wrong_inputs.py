@@ -70,6 +70,8 @@ scna => did you mean scan?
 calibrat => did you mean calibrate?
 --compeltion bash => did you mean --completion?
 sdo raed 5 P => did you mean read?
+simulate cia402 X => names no node-id
+simulate cia402 cia402 --node-id 5 X => 1 for 2 files
 calibrate appyl x.toml => did you mean apply?
 scan --wiat 5 => did you mean --wait
 decode --sumary run.log => did you mean --summary?
@@ -212,6 +214,8 @@ view none.toml -i virtual --port 0 | view - -i virtual --port 0 | view run.log -
 sdo read 0 0x1000 0 NOBODY | NODE --node-id 0 => node-id '@': allowed are 1 to 127
 NODE --node-id five | monitor run.log --nodes 300 | tare all X => node-id '@': allowed are 1 to 127
 READ NOBODY => object missing
+sdo dump 5 0x1017 0 NOBODY => tipforce: sdo dump: reads all objects; for one: tipforce sdo read 5 0x1017 0
+nmt start all --wait X => needs node-ids
 READ 0x1017 0 u16 5 NOBODY => '0x1017 0 u16 5': too many words; expected NAME, or INDEX SUB [TYPE]
 READ x 0 u16 NOBODY => 'x' '0' is not INDEX SUB; write 0x1017 0, or one NAME
 READ 0x1017 y NOBODY => '0x1017' '@' is not INDEX SUB
@@ -327,8 +331,10 @@ exit 5
 scan --nodes 50-60 --wait 0.01 BUS => is the bus powered and terminated, is the bit rate right?
 scan --nodes 50 --wait 0 -q BUS =>
 READ 0x1017 NOBODY | calibrate apply cal.toml --node 5 --yes NOBODY | GUIDE NOBODY => `tipforce scan` lists nodes
+read 5 --wait 0.2 NOBODY => node 5
 lss assign 1 --serial 99 --lss-timeout 0.02 BUS => serial 99 responded
 lss scan --lss-timeout 0.02 BUS => no unconfigured node responded
+lss assign 4 --lss-timeout 0.02 BUS => Configured nodes take no part
 tare 5 NOBODY => check its power, bus, bit rate and node-id
 exit 11
 READ 0x3000 0 u8 BUS => object does not exist

@@ -8,12 +8,11 @@ import os
 import signal
 import socket
 import struct
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Protocol, Self
+from typing import Self
 
 WAIT_S = 120.0  # only a test that fails waits so long: in User-mode Linux everything is slow
 BUS = ("-i", "socketcan", "-c", "vcan0")
@@ -165,11 +164,8 @@ class Command:
             self._closed = True
 
 
-class Launch(Protocol):
-    """The fixture that starts commands."""
-
-    def __call__(self, *words: str) -> Command:
-        """Start `tipforce WORDS`."""
+Launch = Callable[..., Command]
+"""The fixture that starts `tipforce WORDS`."""
 
 
 def tipforce(*words: str) -> list[str]:
@@ -206,18 +202,6 @@ def running_node(folder: Path, *flags: str, node_id: int = NODE_ID, channel: str
         yield command
     finally:
         command.close()
-
-
-@contextlib.contextmanager
-def peer(*words: str, output: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """Another program (can-utils) that writes to a file until the test ends it."""
-    with output.open("wb") as file:
-        process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT)
-    try:
-        yield process
-    finally:
-        process.terminate()
-        process.wait(WAIT_S)
 
 
 def wait_until(condition: Callable[[], bool], what: str, again: Callable[[], object] = lambda: None) -> None:
