@@ -8,6 +8,7 @@ import os
 import signal
 import socket
 import struct
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -202,6 +203,10 @@ def running_node(folder: Path, *flags: str, node_id: int = NODE_ID, channel: str
         yield command
     finally:
         command.close()
+
+
+def ip_link(*words: str) -> None:
+    subprocess.run(["ip", "link", *words], check=True, capture_output=True, timeout=WAIT_S)
 
 
 def wait_until(condition: Callable[[], bool], what: str, again: Callable[[], object] = lambda: None) -> None:
