@@ -136,7 +136,7 @@ def judged() -> list[Recording]:
         assert talk.put("f", 0x2115, 0, -3e-4) == 0
         assert talk.put("f", 0x2116, 0, 30.0) == 0
         talk.calibrate(points)
-        talk.remap(3, 0x40000485, ((0x2124, 0, 16), (0x2123, 0, 16), (0x2126, 0, 8)), transmission=255)
+        assert talk.put("I", 0x1803, 1, 0x40000485) == 0  # 2124h and u(P) at each change
         talk.start()
         for load in ((1.0, 10.0, 5.0), (2.5, 10.0, 5.0), (4.2, 10.0, 5.0), (3.9, 10.0, 5.0), (1.0, 170.0, 185.0)):
             talk.load(*load)
