@@ -43,15 +43,8 @@ def measurement() -> list[Recording]:
     talk.load(1.0, 0.0, 0.0)
     talk.sync(3)
     assert talk.put("I", 0x6125, 1, table.SIGNATURE_ZERO) == codes.DEVICE_STATE
-    for load in (
-        (1.0, 10.0, 5.0),
-        (0.5, -30.0, -20.0),
-        (0.02, 0.0, 0.0),
-        (3.0, 80.0, 85.0),
-        (2.0, 0.0, 90.0),
-        (300.0, 0.0, 0.0),
-    ):
-        talk.load(*load)
+    for P, phi, theta in ((1, 10, 5), (0.5, -30, -20), (0.02, 0, 0), (3, 80, 85), (2, 0, 90), (300, 0, 0)):
+        talk.load(P, phi, theta)
         talk.sync(3)
         for sub in (1, 2, 3):
             talk.upload(0x2107, sub)

@@ -110,10 +110,10 @@ def test_read_prints_the_contact_of_each_finger(tipforce: Tipforce, bench: tuple
     assert re.fullmatch(
         r"   5 \(0x05\)  4\.4\d\d N, phi (89|90)\.\d\d deg, theta 4[45]\.\d\d deg  u\(P\) 0\.\d{3} N\n", out
     )
-    code, out, err = tipforce("read 6 -n 2 --json")
-    assert err == "node 6 (0x06): not calibrated: tipforce calibrate guide --node 6, or apply CAL.toml\n", "once"
-    first, second = map(json.loads, out.splitlines())
-    assert (code, first["node_id"], first["P_newtons"], first["reason"]) == (0, 6, None, "not calibrated")
+    ended = tipforce("read 6 -n 2 --json", code=0)
+    assert ended.err == "node 6 (0x06): not calibrated: tipforce calibrate guide --node 6, or apply CAL.toml\n", "once"
+    first, second = ended.records
+    assert (first["node_id"], first["P_newtons"], first["reason"]) == (6, None, "not calibrated")
     assert first["counter"] != second["counter"]
 
 
@@ -298,7 +298,8 @@ def test_run_prints_rows_and_counts(hand: tuple[ExitStack, Path], printed: Print
     rows = [line for line in lines if "row" in line]
     assert len(rows) >= 5
     assert rows[-1]["pairing"] == "numbered"
-    assert rows[-1]["1"]["P"] == pytest.approx(2.0, abs=5e-3)
+    known = [row["1"]["P"] for row in rows if row["1"].get("P") is not None]  # an answer that is late: no P
+    assert known[-1] == pytest.approx(2.0, abs=5e-3)
     assert (rows[-1]["2"]["name"], rows[-1]["2"]["calibrated"]) == ("index", True)
     assert {"calibrated", "started"} <= {line["event"] for line in lines if "event" in line}
     assert "SYNC period" in err
