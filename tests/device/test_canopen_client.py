@@ -1,8 +1,7 @@
 """The canopen library as a foreign client, in one thread: what its Network sends, a fingertip node answers at once."""
 
 import zlib
-from collections.abc import Callable, Iterator
-from importlib.metadata import version
+from collections.abc import Iterator
 from pathlib import Path
 
 import can
@@ -12,18 +11,16 @@ from bench.fuzz import STRAIN_PER_NEWTON
 
 from canopen_device.core.node import Device
 from canopen_device.testing import MemoryStore
-from device.tiny import dictionary
 from fingertip.finger import record
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sources.simulated import SimulatedSource
 
-CANOPEN = tuple(map(int, version("canopen").split(".")[:2]))
 EDS = Path(__file__).parents[2] / "eds" / "tipforce-3.eds"
 RECORD = record()
 
 
 class DirectBus:
-    """A bus whose only other participant is one device; ``drop`` says which of the node's frames get lost."""
+    """A bus whose only other participant is one device."""
 
     channel_info = "direct"
 
@@ -31,14 +28,12 @@ class DirectBus:
         self._device = device
         self._network = network
         self._now_us = 0
-        self.drop: Callable[[int, bytes], bool] = lambda _can_id, _data: False
         self.pass_time(0)
 
     def send(self, message: can.Message, _timeout: float | None = None) -> None:
-        """From the client to the node; dropped frames of the client are those that ``drop`` names as well."""
-        frame = (message.arbitration_id, bytes(message.data))
+        """From the client to the node."""
         self._now_us += 100
-        self._deliver([] if self.drop(*frame) else [frame])
+        self._deliver([(message.arbitration_id, bytes(message.data))])
 
     def pass_time(self, microseconds: int) -> None:
         self._now_us += microseconds
@@ -47,8 +42,7 @@ class DirectBus:
     def _deliver(self, frames: list[tuple[int, bytes]]) -> None:
         sent, _ = self._device.step(self._now_us, frames)
         for can_id, data in sent:
-            if not self.drop(can_id, data):
-                self._network.notify(can_id, bytearray(data), 1e-6 * self._now_us)
+            self._network.notify(can_id, bytearray(data), 1e-6 * self._now_us)
 
     def shutdown(self) -> None:
         """Part of what canopen asks of a bus."""
@@ -64,18 +58,6 @@ class Client:
         self.node = self.network.add_node(5, str(EDS))
         self.node.sdo.RESPONSE_TIMEOUT = 0.05
         self.network.lss.RESPONSE_TIMEOUT = 0.01  # of a silent slave, as fast_scan waits for each bit that is set
-
-    def lose_fifth(self, lost_id: int, most: int) -> set[bytes]:
-        """Lose the fifth frame of each block once, ``most`` of them; return what got lost, as it grows."""
-        lost: set[bytes] = set()
-
-        def drop(can_id: int, data: bytes) -> bool:
-            hit = can_id == lost_id and data[0] == 5 and data not in lost and len(lost) < most
-            lost.update([data] if hit else [])
-            return hit
-
-        self.bus.drop = drop
-        return lost
 
 
 @pytest.fixture
@@ -104,28 +86,6 @@ def test_the_eds_of_a_node_makes_a_dictionary(client: Client) -> None:
     expected = set(client.node.object_dictionary)
     del client.network[5]
     assert set(client.network.add_node(5, upload_eds=True).object_dictionary) == expected
-
-
-@pytest.mark.skipif(
-    CANOPEN < (2, 4), reason="canopen's block client before 2.4 returns wrong bytes after a lost segment"
-)
-def test_block_upload_with_lost_segments(client: Client) -> None:
-    """Of each block's frames the fifth is lost once: the client acknowledges four, the server goes on from there."""
-    lost = client.lose_fifth(0x585, 3)
-    with client.node.sdo[0x2140].open("rb", block_transfer=True) as file:
-        assert file.read() == bytes(len(RECORD))
-    assert lost
-
-
-def test_block_download_with_a_lost_segment() -> None:
-    """In the first of two blocks: canopen 2.4.1 cannot resend in the last one."""
-    client = Client(device=Device(dictionary()))
-    lost = client.lose_fifth(0x605, 1)
-    content = bytes(k * 3 & 0xFF for k in range(1500))
-    with client.node.sdo.open(0x2005, 0, "wb", size=len(content), block_transfer=True, buffering=7) as file:
-        file.write(content)
-    assert lost
-    assert client.node.sdo.upload(0x2005, 0) == content
 
 
 def test_pdo_read_remap_save(client: Client) -> None:

@@ -14,7 +14,7 @@ def test_can_ids_at_the_edge_of_restricted_ranges_are_allowed(can_id: int) -> No
     assert booted().put("I", 0x1801, 1, NO_RTR | can_id) == 0
 
 
-def receiving(transmission: int = 255, mapping: list[int] | None = None) -> Conversation:
+def receiving(mapping: list[int] | None = None) -> Conversation:
     """A node in OPERATIONAL whose RPDO1 is valid: 2000h and 2001h unless mapped otherwise."""
     talk = booted()
     if mapping is not None:
@@ -22,7 +22,6 @@ def receiving(transmission: int = 255, mapping: list[int] | None = None) -> Conv
         for sub, word in enumerate(mapping, 1):
             assert talk.put("I", 0x1600, sub, word) == 0
         assert talk.put("B", 0x1600, 0, len(mapping)) == 0
-    assert talk.put("B", 0x1400, 2, transmission) == 0
     assert talk.put("I", 0x1400, 1, 0x205) == 0
     talk.say("> 000#0105")
     return talk

@@ -19,7 +19,6 @@ from export_c import estimators
 from export_c.estimators import CALIBRATED, FORCE_STEP, SANITIZE, Block, Library, gcc
 from tipforce.dictionary import table
 from tipforce.dictionary.entries import objects
-from tipforce.errors import InputError
 from tipforce.sensor.contact import scalar
 from tipforce_tools.export.c_sources import c_files, row_words
 
@@ -101,14 +100,6 @@ def test_exactly_tangential_and_straight(both: Both) -> None:
             assert abs(found["P"] - 1.0) < 1e-6
 
 
-def test_past_the_tip(both: Both) -> None:
-    for found in both(one([300000, 1000000, 400000])):
-        assert int(found["status"]) & scalar.MISSES_TIP
-        assert abs(found["P"] - 0.75) < 2e-6
-        assert abs(found["miss"] - 0.5) < 2e-6
-        assert int(found["unknown"]) & scalar.UNKNOWN_THETA
-
-
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_no_number(both: Both, value: float) -> None:
     floating, _fixed = both(one([1, 2, 3], [value, 1e-6, 1e-6]))
@@ -186,8 +177,3 @@ def test_the_example_of_the_documents_compiles(tmp_path: Path) -> None:
         (tmp_path / name).write_text(text)
     (tmp_path / "example.c").write_text(block.split("```")[0] + "int main(void) { return 0; }\n")
     gcc(*tmp_path.glob("*.c"), "-o", tmp_path / "example")
-
-
-def test_gauges_out_of_range() -> None:
-    with pytest.raises(InputError, match="number of gauges: 9"):
-        c_files(9)

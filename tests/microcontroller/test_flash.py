@@ -13,6 +13,7 @@ import tipforce_loader
 from conformance.fingertip import all_cases
 from microcontroller import talk
 from microcontroller.fakes import MemorySlots
+from microcontroller.program_board import PowerOffError
 from micropython import engine, scripts
 from micropython.recording import Recording
 from tipforce_loader.flash import BlockSlots, FileSlots, FlashStore
@@ -27,10 +28,6 @@ PAIRS = {
     ("ads1220", "machine"): (scripts.many_gauges, scripts.filters, scripts.bus_faults),
     ("hx711", "pyb"): (scripts.measurement, scripts.lss),
 }
-
-
-class PowerOffError(Exception):
-    pass
 
 
 class Device:

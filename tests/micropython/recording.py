@@ -139,19 +139,6 @@ class Talk(Conversation):
         assert self.put("I", 0x2103, 1, self.get("I", 0x2103, 2)) == 0
         assert self.put("I", 0x2104, 0, table.SIGNATURE_COMMIT) == 0
 
-    def remap(
-        self, number: int, cob_id: int, mapping: tuple[tuple[int, int, int], ...], transmission: int = 1,
-        inhibit: int = 0, event_ms: int = 0,
-    ) -> None:  # fmt: skip
-        """Give TPDO ``number``, from 0, another mapping, by the procedure of CiA 301, 7.5.2.36."""
-        communication, mapped = 0x1800 + number, 0x1A00 + number
-        writes = [("I", communication, 1, 0xC0000000 | cob_id), ("B", mapped, 0, 0)]
-        writes += [("I", mapped, k, index << 16 | sub << 8 | bits) for k, (index, sub, bits) in enumerate(mapping, 1)]
-        writes += [("B", mapped, 0, len(mapping)), ("B", communication, 2, transmission)]
-        writes += [("H", communication, 3, inhibit), ("H", communication, 5, event_ms), ("I", communication, 1, cob_id)]
-        for kind, index, sub, value in writes:
-            assert self.put(kind, index, sub, value) == 0, f"{index:04X}h:{sub}"
-
 
 def random_recording(seed: int, steps: int) -> Recording:
     """``steps`` steps of the frame fuzzer: conversations, broken ones, and noise."""

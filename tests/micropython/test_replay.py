@@ -1,16 +1,13 @@
 """Conversations of CPython held again on MicroPython, which judges alike; its memory, its loop."""
 
-import json
 import os
 from pathlib import Path
 
 import pytest
 
 from conformance.fingertip import NODE_ID, SERIAL, all_cases, core_eds, run_in_process
-from host.decoding.test_judged import recorded
 from micropython import engine, footprint, recording, scripts
 from micropython.recording import PAST_SMALL_INTEGERS_US, RecordedDevice, Recording, random_recording
-from tipforce.dictionary import table_objects
 
 RANDOM_SEEDS, RANDOM_STEPS = range(4), 3000
 # A node is a server; and what devices from an EDS need, a fingertip does without.
@@ -86,50 +83,6 @@ def test_the_conversations_speak_of_every_service(spoken: list[Recording], cases
     assert {name for one in spoken for name in one.stored.replace("=", " ").split()} >= {
         "application", "calibration", "communication", "lss",
     }  # fmt: skip
-
-
-PROGRAM = """
-import json
-import struct
-
-from tipforce.fingertip.calibration import Active
-from tipforce.fingertip.judgement import Judgement
-
-
-def judge(path):
-    with open(path) as file:
-        told = json.load(file)
-    record = bytes.fromhex(told["record"])
-    active = Active(record, list(struct.unpack(told["packing"], record)), told["n"])
-    for row, lost, temperature, overloaded in told["samples"]:
-        degC = float("nan") if temperature == -0x8000 else 0.01 * temperature
-        one = Judgement(active, row, lost, degC, overloaded)
-        print(json.dumps([one.bits, one.left_out, one.force, list(one.covariance()) if one.force else None]))
-"""
-
-
-@pytest.mark.parametrize("n", [3, 5, 8])
-def test_the_verdicts_of_both_interpreters_are_equal(n: int) -> None:
-    calibration, samples = recorded(n)
-    overloaded = [False, *(sample.overloaded for sample in samples[:-1])]
-    rows, here = [], []
-    for sample, before in zip(samples, overloaded, strict=True):
-        one = sample.judgement
-        assert one is not None
-        assert sample.reading is not None
-        rows.append([sample.microstrains, one._lost, sample.reading.temperature, before])
-        here.append([one.bits, one.left_out, one.force, one.covariance() if one.force else None])
-    packing = "<" + "".join(kind for _index, _sub, kind in table_objects.staged(n))
-    told = {"record": calibration.record().hex(), "packing": packing, "n": n, "samples": rows}
-    files = engine.sources() | {
-        f"{engine.LIBRARY}/judging.py": PROGRAM.encode(), "/samples": json.dumps(told).encode(),
-    }  # fmt: skip
-    there = [json.loads(line) for line in engine.run(files, ["import judging", "judging.judge('/samples')"])]
-    assert [one[:2] for one in there] == [one[:2] for one in here]
-    for mine, theirs in zip(here, there, strict=True):
-        for ours, other in zip(mine[2:], theirs[2:], strict=True):
-            assert other == (None if ours is None else pytest.approx(ours, rel=1e-12, abs=1e-15))
-    assert len(here) > 100
 
 
 def test_the_whole_device_core_is_among_them_and_nothing_of_a_pc() -> None:

@@ -151,10 +151,7 @@ def test_one_damaged_group_leaves_the_others(tmp_path: Path) -> None:
     assert talk.upload(0x2140) == record()
 
 
-@pytest.mark.parametrize("cut", [0, 1, 20, -2, "flip"])
-def test_torn_or_corrupt_newest_slot_falls_back_to_the_older(
-    tmp_path: Path, cut: int | str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_corrupt_newest_slot_falls_back_to_the_older(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = tmp_path / "node.json"
     talk = stored(path, serial=1)
     talk.put("I", 0x1010, 1, SAVE)  # the same once more, so that both slots hold all of it
@@ -162,11 +159,7 @@ def test_torn_or_corrupt_newest_slot_falls_back_to_the_older(
     assert talk.commit() == talk.put("I", 0x1010, 4, SAVE) == 0
     assert node(path).upload(0x2140) == record(serial=2)
     newest, _older = slots(path)
-    whole = newest.read_bytes()
-    if isinstance(cut, int):
-        newest.write_bytes(whole[:cut])
-    else:
-        newest.write_bytes(whole.replace(b'"calibration": "', b'"calibration": "ff', 1))
+    newest.write_bytes(newest.read_bytes().replace(b'"calibration": "', b'"calibration": "ff', 1))
     caplog.clear()
     again = node(path)
     assert again.upload(0x2140) == record(serial=1)

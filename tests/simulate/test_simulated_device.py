@@ -16,7 +16,6 @@ from canopen_device.testing import Conversation
 from canopen_device.types import Value
 from eds.samples import described, pdo, record, text, var
 from tipforce.errors import InputError
-from tipforce_tools.cli.main import main
 
 PRESS = text(
     var("1005", 7, "rw", "0x80"), var("1014", 7, "rw", "$NODEID+0x80"), var("2000", 4, "rw", "7"),
@@ -272,20 +271,6 @@ def test_what_is_wrong_is_named(folder: Path, old: str, new: str, message: str) 
     (folder / "machine.toml").write_text(MACHINE.replace(old, new))
     with pytest.raises(InputError, match=message):
         read_machine(folder / "machine.toml")
-
-
-def test_the_command_refuses_what_does_not_fit(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    eds, bus = str(folder / "press.eds"), ["-i", "virtual", "-c", "x"]
-    for words, said in (
-        ([eds], "names no node-id"), ([eds, eds, "--node-id", "5"], "1 for 2 files"),
-        ([eds, eds, "--node-id", "5,6,7"], "3 for 2"),
-        ([eds, "--node-id", "5", "--set", "P2000"], "the form is OBJECT=VALUE"),
-        ([eds, "--node-id", "5,6", "--set", "P2000=1"], "several nodes; write ID:OBJECT=VALUE"),
-        ([eds, "--node-id", "5", "--set", "9:P2000=1"], "no node 9 here"),
-        ([str(folder / "machine.toml"), "--node-id", "5"], "a machine in TOML stands alone"),
-    ):  # fmt: skip
-        assert main(["simulate", *words, *bus]) == 2
-        assert said in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("given", ["bus", "network", "tipforce", "options", "nothing"])

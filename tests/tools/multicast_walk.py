@@ -70,11 +70,12 @@ def walk(folder: Path) -> None:
         assert main(["nmt", "preop", "1,2", "--wait", *FLAGS]) == 0
         assert main(["scan", "--nodes", "1-3", "--json", *FLAGS]) == 0
         assert main(["hand", "run", str(folder / "hand.toml"), "--seconds", "0.3", "--json"]) == 0
-        view = start(opened, "view", "--port", "0", "--json")
-        hand = start(opened, "hand", "run", str(folder / "hand.toml"), "--seconds", "100", "-q")
-        print(json.dumps({"page": page_message(view)["fingers"]}))
+        listening = start(opened, "view", "--port", "0", "--json")
+        hand = start(opened, "view", str(folder / "hand.toml"), "--port", "0", "--json")
+        for page in (hand, listening):
+            print(json.dumps({"page": page_message(page)["fingers"]}))
         hand.terminate()
-        hand.wait(30.0)  # it stops the fingers as it ends
+        assert hand.wait(30.0) == 0  # it stops the fingers as it ends
         assert main(["read", "1,2", "--json", *FLAGS]) == 0
     heard = []
     while (message := emergencies.get_message(0.0)) is not None:

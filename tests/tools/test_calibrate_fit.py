@@ -48,12 +48,7 @@ def data(sim: Simulated, tmp_path: Path) -> Path:
 @pytest.fixture
 def fitted(printed: Printed) -> Fitted:
     """The record of `calibrate fit` with these words."""
-
-    def fit(*words: object) -> dict[str, Any]:
-        (record,) = printed(0, ["calibrate", "fit", *words, "--json"]).records
-        return record
-
-    return fit
+    return lambda *words: printed(0, ["calibrate", "fit", *words, "--json"]).records[0]
 
 
 def test_text_tells_all(data: Path, sim: Simulated, printed: Printed) -> None:

@@ -2,7 +2,6 @@
 
 import argparse
 import errno
-import json
 import os
 import socket
 import struct
@@ -13,7 +12,6 @@ import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
 
 import can
 import pytest
@@ -22,7 +20,6 @@ from tipforce.errors import EnvironmentLackError
 from tipforce.host.live import receive
 from tipforce.host.live.receiver import Selection
 from tipforce_tools.cli.listening import open_targets
-from tipforce_tools.cli.main import main
 from tools.rig import Ended, Printed, Tipforce, message, sending
 
 GOOD = """\
@@ -63,10 +60,6 @@ def piped(tipforce: Tipforce, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
             return tipforce("dump", *words)
 
     return run
-
-
-def records(text: str) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in text.splitlines()]
 
 
 SHOWN = {
@@ -110,7 +103,7 @@ def test_text(words: str, log: Path, printed: Printed) -> None:
 
 
 def test_json(log: Path, printed: Printed) -> None:
-    found = records(printed(0, ["dump", "--json", "--decode", str(log)]).out)
+    found = printed(0, f"dump --json --decode {log}").records
     assert found[0] == {
         "t": 1700000000.0, "interface": "vcan0", "id": "285", "data": "2E1129239A110303", "node": 5,
         "message": "Contact", "values": {"P": 4.398, "phi": 90.01, "theta": 45.06}, "status": ["contact", "calibrated"],
@@ -147,29 +140,21 @@ def test_filters(targets: str, shown: int, log: Path, printed: Printed) -> None:
     assert len(printed(0, ["dump", *targets.split(), str(log)]).out.splitlines()) == shown
 
 
-def test_can_fd_frames_are_shown_counted_and_filtered_but_not_decoded(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def shown(text: str, *words: str) -> str:
-        path = tmp_path / "run.log"
-        path.write_text(text)
-        assert main(["dump", *words, str(path)]) == 0
-        return capsys.readouterr().out
-
+def test_can_fd_frames_are_shown_counted_and_filtered_but_not_decoded(piped: Tipforce) -> None:
     lines = FD.splitlines(keepends=True)
-    assert shown(FD, "-L") == FD
-    assert shown(FD, "-L", "-n", "3") == "".join(lines[:3])
-    assert shown(FD, "-L", "vcan0,285:7FF") == "".join(lines[:2])
-    assert shown(FD, "-x", "--decode") == (
+    assert piped(FD, "-L", "-").out == FD
+    assert piped(FD, "-L", "-n", "3", "-").out == "".join(lines[:3])
+    assert piped(FD, "-L", "vcan0,285:7FF", "-").out == "".join(lines[:2])
+    assert piped(FD, "-x", "--decode", "-").out == (
         "  vcan0  RX B -  285  [08]  2E 11 29 23 9A 11 03 03\n"
         "  vcan0  RX - -  285   [8]  2E 11 29 23 9A 11 03 03  node 5 (0x05) Contact  "
         "P=4.398 N phi=90.01 deg theta=45.06 deg contact calibrated #3\n"
         "  vcan1  RX - -  12345678  [12]  00 01 02 03 04 05 06 07 08 09 0A 0B\n"
         "  vcan0  RX B -       123  [00] \n"
     )
-    screen = shown(FD, "-ta", "-x")
-    assert shown(screen, "-ta", "-x") == screen
-    found = records(shown(FD, "--json", "--decode"))
+    screen = piped(FD, "-ta", "-x", "-").out
+    assert piped(screen, "-ta", "-x", "-").out == screen
+    found = piped(FD, "--json", "--decode", "-").records
     assert [record.get("fd", False) for record in found] == [True, False, True, True]
     assert found[0]["bit_rate_switch"]
     assert "values" in found[1]
@@ -234,16 +219,16 @@ def repeated(channel: str, *messages: can.Message) -> AbstractContextManager[Non
     return sending(channel, lambda _number: messages)
 
 
-def test_a_bus_of_python_can(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bus_of_python_can(printed: Printed) -> None:
     with repeated("dump1", message(0x285, CONTACT)):
-        assert main(["dump", "-i", "virtual", "-c", "dump1", "-n", "3", "--decode"]) == 0
-    assert capsys.readouterr().out.splitlines() == 3 * [
+        out = printed(0, "dump -i virtual -c dump1 -n 3 --decode").out
+    assert out.splitlines() == 3 * [
         "  dump1  285   [8]  2E 11 29 23 9A 11 03 03  node 5 (0x05) Contact  "
         "P=4.398 N phi=90.01 deg theta=45.06 deg contact calibrated #3"
     ]
 
 
-def test_filters_remote_and_fd(capsys: pytest.CaptureFixture[str]) -> None:
+def test_filters_remote_and_fd(printed: Printed) -> None:
     sent = [
         message(0x285, CONTACT),
         can.Message(arbitration_id=0x181, is_remote_frame=True, dlc=4, is_extended_id=False),
@@ -251,13 +236,12 @@ def test_filters_remote_and_fd(capsys: pytest.CaptureFixture[str]) -> None:
         message(0x4, bytes(8), is_error_frame=True),
     ]
     with repeated("dump2", *sent):
-        assert main(["dump", "-i", "virtual", "-n", "2", "--json", "dump2,285~7FF"]) == 0
-    found = records(capsys.readouterr().out)
+        found = printed(0, "dump -i virtual -n 2 --json dump2,285~7FF").records
     shown = {(record["id"], record.get("length"), record.get("fd"), record.get("error")) for record in found}
     assert shown == {("181", 4, None, None), ("123", None, True, None)}
     with repeated("dump2", *sent):
-        assert main(["dump", "-i", "virtual", "-n", "1", "dump2,0~0,#4"]) == 0
-    assert capsys.readouterr().out == "  dump2  20000004   [8]  00 00 00 00 00 00 00 00   ERRORFRAME\n"
+        out = printed(0, "dump -i virtual -n 1 dump2,0~0,#4").out
+    assert out == "  dump2  20000004   [8]  00 00 00 00 00 00 00 00   ERRORFRAME\n"
 
 
 def test_silence_of_a_bus_ends_it(printed: Printed) -> None:
@@ -303,7 +287,7 @@ def buses(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, socket.socket]]
 
 
 @pytest.mark.skipif(not receive.AVAILABLE, reason="needs the sockets of Linux")
-def test_socketcan_frames(buses: dict[str, socket.socket], capsys: pytest.CaptureFixture[str]) -> None:
+def test_socketcan_frames(buses: dict[str, socket.socket], printed: Printed) -> None:
     def send() -> None:
         while len(buses) < 2:
             time.sleep(0.005)
@@ -315,9 +299,9 @@ def test_socketcan_frames(buses: dict[str, socket.socket], capsys: pytest.Captur
 
     thread = threading.Thread(target=send)
     thread.start()
-    assert main(["dump", "-x", "vcan0", "can1", "-n", "7"]) == 0
+    out = printed(0, "dump -x vcan0 can1 -n 7").out
     thread.join()
-    assert sorted(capsys.readouterr().out.splitlines()) == sorted(
+    assert sorted(out.splitlines()) == sorted(
         [
             "  vcan0  RX - -  285   [8]  2E 11 29 23 9A 11 03 03",
             *2 * ["  vcan0  RX - -       285   [8]  2E 11 29 23 9A 11 03 03"],

@@ -53,8 +53,8 @@ class Bench(NamedTuple):
     def file(self) -> Path:
         return self.folder / "finger.toml"
 
-    def guide(self, *words: object, node: int = 5) -> int:
-        line = ["calibrate", "guide", "--node", node, "--session", self.session, *QUICK, *words]
+    def guide(self, *words: object) -> int:
+        line = ["calibrate", "guide", "--node", 5, "--session", self.session, *QUICK, *words]
         try:
             return main([*map(str, line), "-i", "virtual", "-c", self.channel])
         except SystemExit as error:
@@ -285,11 +285,6 @@ def test_refused_with_nobody_there_is_1(bench: Bench) -> None:
 def test_a_faulty_node_is_refused_before_the_first_weight(bench: Bench, fault: int, reason: str) -> None:
     bench.connection.sdo(5).write(od.SIMULATION_FAULT, fault)
     assert reason in bench.auto(code=12).err
-
-
-def test_no_node_is_5(bench: Bench) -> None:
-    assert bench.guide("--auto", "--timeout", 0.05, "--retries", 0, node=9) == 5
-    assert "node 9 (0x09)" in bench.capsys.readouterr().err
 
 
 def test_a_node_that_goes_and_comes_back(bench: Bench) -> None:

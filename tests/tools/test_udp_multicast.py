@@ -39,14 +39,14 @@ def test_nodes_a_hand_a_page_and_commands(tmp_path: Path) -> None:
     assert [(record["node_id"], record["eds"]) for record in scanned] == [(1, "match"), (2, "match")]
     rows = [[record[name].get("P") for name in "12"] for record in records if "row" in record]  # late: no P
     assert [P for P in rows if None not in P][-1] == pytest.approx([4.4, 4.4], abs=0.1)
-    (page,) = (record["page"] for record in records if "page" in record)
+    pages = [record["page"] for record in records if "page" in record]
     read = [record for record in records if "P_newtons" in record]
     contacts = [[record["P_newtons"], record["phi_deg"], record["theta_deg"]] for record in read]
-    for contact in (*contacts, *(finger["c"] for finger in page)):
+    for contact in (*contacts, *(finger["c"] for page in pages for finger in page)):
         assert contact == [
             pytest.approx(4.4, abs=0.1), pytest.approx(90.0, abs=1.5), pytest.approx(45.0, abs=1.5),
         ]  # fmt: skip
-    assert len(read) == 2
+    assert (len(read), len(pages)) == (2, 2)
     assert records[-1]["emcy"] == []  # own frames would be reported as a collision of COB-IDs
     assert records[-1]["syncs"] > 5
 

@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Protocol, Self
+from typing import Self
 
 WAIT_S = 120.0  # only a test that fails waits so long: in User-mode Linux everything is slow
 BUS = ("-i", "socketcan", "-c", "vcan0")
@@ -42,7 +42,6 @@ _context.set_forkserver_preload(
         "tipforce_tools.calibrate.fit",
         "tipforce_tools.dump", "tipforce_tools.dump.session", "tipforce_tools.log", "tipforce_tools.replay",
         "tipforce.host.live.receiver", "tipforce.host.live.send",
-        "tipforce_tools.view", "tipforce_tools.page.server", "tipforce_tools.page.sources",
     ]
 )  # fmt: skip
 
@@ -166,11 +165,8 @@ class Command:
             self._closed = True
 
 
-class Launch(Protocol):
-    """The fixture that starts commands."""
-
-    def __call__(self, *words: str) -> Command:
-        """Start `tipforce WORDS`."""
+Launch = Callable[..., Command]
+"""The fixture that starts `tipforce WORDS`."""
 
 
 def tipforce(*words: str) -> list[str]:
@@ -209,16 +205,8 @@ def running_node(folder: Path, *flags: str, node_id: int = NODE_ID, channel: str
         command.close()
 
 
-@contextlib.contextmanager
-def peer(*words: str, output: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """Another program (can-utils) that writes to a file until the test ends it."""
-    with output.open("wb") as file:
-        process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT)
-    try:
-        yield process
-    finally:
-        process.terminate()
-        process.wait(WAIT_S)
+def ip_link(*words: str) -> None:
+    subprocess.run(["ip", "link", *words], check=True, capture_output=True, timeout=WAIT_S)
 
 
 def wait_until(condition: Callable[[], bool], what: str, again: Callable[[], object] = lambda: None) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tipforce.host.frames.frame_block import LENGTHS
-from vcan.support import NODE_ID, SYNC, WAIT_S, Command, RawBus, peer, tipforce, wait_until
+from vcan.support import NODE_ID, SYNC, WAIT_S, Command, RawBus, ip_link, tipforce, wait_until
 
 EVERYTHING = "vcan0,0:0,#FFFFFFFF"
 TWO_BUSES = ["vcan0,123:7FF", "vcan1,123~7FF"]
@@ -72,7 +72,7 @@ def fd_bus(name: str = "vcan0") -> Iterator[socket.socket]:
     """A raw socket that sends CAN FD frames, too; the interface is made to carry them."""
     if int(Path(f"/sys/class/net/{name}/mtu").read_text()) < 72:
         for change in (["down"], ["mtu", "72"], ["up"]):
-            subprocess.run(["ip", "link", "set", name, *change], check=True, timeout=WAIT_S)
+            ip_link("set", name, *change)
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as bus:
         bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
         bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"")
@@ -83,9 +83,14 @@ def fd_bus(name: str = "vcan0") -> Iterator[socket.socket]:
 @contextmanager
 def listening_candump(words: list[str], output: Path) -> Iterator[None]:
     before = sockets_listening()
-    with peer("candump", *words, output=output):
+    with output.open("wb") as file:
+        process = subprocess.Popen(["candump", *words], stdin=subprocess.DEVNULL, stdout=file, stderr=file)
+    try:
         wait_until(lambda: sockets_listening() > before, "candump does not listen")
         yield
+    finally:
+        process.terminate()
+        process.wait(WAIT_S)
 
 
 def start(stack: ExitStack, runs: list[list[str]], folder: Path) -> list[tuple[Command, Path]]:

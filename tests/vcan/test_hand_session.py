@@ -6,7 +6,6 @@ processor which is emulated, and shared with whatever else a machine does. Heart
 processor, so while it stands still they do, and where nodes wait for their turn so does this clock.
 """
 
-import subprocess
 import time
 from collections.abc import Iterator
 from multiprocessing.context import ForkServerProcess
@@ -22,7 +21,7 @@ from tipforce.samples.record import Rows
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix
 from vcan.pressed import NEWTONS_PER_S, force_newtons, run_node
-from vcan.support import HEARTBEAT, SDO_REQUEST, WAIT_S, Launch, RawBus, is_boot_up, wait_until
+from vcan.support import HEARTBEAT, SDO_REQUEST, Launch, RawBus, ip_link, is_boot_up, wait_until
 from vcan.support import _context as context
 
 CHANNEL = "vcan1"
@@ -141,10 +140,6 @@ def setting_up(kinds: list[tuple[str, int]], node_id: int) -> list[str]:
     return list(dict.fromkeys(steps))
 
 
-def ip(*words: str) -> None:
-    subprocess.run(["ip", *words], check=True, timeout=WAIT_S)
-
-
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
     """A hand that is up and runs."""
@@ -203,7 +198,7 @@ def test_killed_node_is_unknown_and_comes_back(session: Session) -> None:
 
 
 def test_interface_down_and_up(session: Session) -> None:
-    ip("link", "set", CHANNEL, "down")
+    ip_link("set", CHANNEL, "down")
     try:
         down: list[tuple[str, int]] = []
         wait_until(lambda: ("bus_down", 0) in down, "it should be noticed", lambda: down.extend(session.kinds()))
@@ -214,7 +209,7 @@ def test_interface_down_and_up(session: Session) -> None:
         time.sleep(0.3)
         assert len(session.rows) <= rows + 1  # the one that was open
     finally:
-        ip("link", "set", CHANNEL, "up")
+        ip_link("set", CHANNEL, "up")
     session.recovered("interface down and up")
     kinds = session.kinds()
     assert kinds[0] == ("bus_up", 0)

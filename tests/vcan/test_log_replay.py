@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from vcan.support import WAIT_S, Command, Launch, RawBus, wait_until
+from vcan.support import WAIT_S, Command, Launch, RawBus, ip_link, wait_until
 from vcan.test_dump_options import EVERYTHING, fd_bus, listening_candump, traffic
 
 
@@ -62,7 +62,7 @@ def test_replay_on_an_interface_without_can_fd_says_what_it_left_out(launch: Lau
     path = tmp_path / "run.log"
     path.write_text("(1700000000.000000) vcan0 123##0112233\n(1700000000.000000) vcan0 123#11\n")
     for change in (["down"], ["mtu", "16"], ["up"]):
-        subprocess.run(["ip", "link", "set", "vcan1", *change], check=True, timeout=WAIT_S)
+        ip_link("set", "vcan1", *change)
     with fd_bus() as _:
         command = launch("replay", str(path), "vcan1=vcan0")
         assert command.wait() == 0
@@ -74,7 +74,7 @@ def test_an_interface_that_goes_down_and_comes_back(launch: Launch, tmp_path: Pa
     path = tmp_path / "run.log"
     with logging(launch, path, "-D", "vcan1") as command:
         for change in ("down", "up"):
-            subprocess.run(["ip", "link", "set", "vcan1", change], check=True, timeout=WAIT_S)
+            ip_link("set", "vcan1", change)
         wait_until(lambda: "vcan1: interface down" in command.stderr, "the interface is not down")
         with RawBus("vcan1") as bus:
             bus.send(0x123, b"\x01")

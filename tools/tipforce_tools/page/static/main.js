@@ -36,7 +36,7 @@ const panel = new Panel(page, {
   failed,
 });
 // For measurements and tests: messages received and pictures drawn so far, and the charts.
-window.tipforce = { messages: 0, drawn: 0, longest: 0, panel };
+window.tipforce = { messages: 0, drawn: 0, panel };
 
 // --- start -----------------------------------------------------------------------------------------------------
 
@@ -238,7 +238,6 @@ function draw(time) {
 
 // Hidden parts are not drawn, unless ``everything`` is set (print); their numbers are always written.
 function paint(everything) {
-  const begun = performance.now();
   page.dirty = false;
   const states = shownStates(), { message } = page;
   const scale = drawingScale();
@@ -257,7 +256,6 @@ function paint(everything) {
   $("frames").textContent = (message.frames ?? []).join("\n");
   showTime(message);
   window.tipforce.drawn += 1;
-  window.tipforce.longest = Math.max(window.tipforce.longest, performance.now() - begun);
 }
 
 // The lists of full scales; the present one is always among them.
