@@ -61,8 +61,7 @@ class RecordingLink(LoopbackLink):
 
 def publish(folder: Path) -> tuple[FrameArray, dict[str, Any]]:
     """Run hand, bridge and reader; return the frames, and what was published."""
-    from tipforce.watching.feeds import HandFeed
-    from tipforce.watching.watcher import Finger
+    from tipforce.watching.feeds import Finger, HandFeed
     from tipforce_robots.ros2.bridge import Bridge
     from tipforce_robots.ros2.cdr import WRENCH
     from tipforce_robots.ros2.dds import RosDomain

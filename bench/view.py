@@ -26,9 +26,8 @@ from websockets.sync.client import connect
 from tipforce.host.live.receive import SocketReceiver
 from tipforce.host.live.receiver import ReceiverGroup
 from tipforce.scene import beam_calibration
-from tipforce.watching.feeds import FrameFeed
+from tipforce.watching.feeds import Finger, FrameFeed, with_layout
 from tipforce.watching.frame_sources import BusSource
-from tipforce.watching.watcher import Finger, with_layout
 from tipforce_tools.page.guard import Guard
 from tipforce_tools.page.server import ViewServer
 from tipforce_tools.page.sources import LiveSource, Source
@@ -136,7 +135,7 @@ def sync_frames(first: int, until: int) -> list[bytes]:
 def screenshots(browser: Browser, folder: Path) -> None:
     """The demo's hand, light on a desktop while a finger has a fault, and dark on a phone; and a recording."""
     from tipforce.shipped_files import shipped_folder
-    from tipforce.watching.watcher import finger_maker
+    from tipforce.watching.feeds import finger_maker
     from tipforce_tools.page.sources import scene_source
 
     hand = scene_source(shipped_folder("scenes") / "hand.toml", finger_maker())

@@ -695,7 +695,7 @@ static PyObject *rows(PyObject *module, PyObject *const *args, Py_ssize_t given)
 /* --- datagrams of a socket ---------------------------------------------------------------------- */
 
 #ifdef __linux__
-enum { STAMP = 35, DROPS = 40 }; /* SO_TIMESTAMPNS, SO_RXQ_OVFL */
+enum { STAMP = 35, DROPS = 40, BATCH = 256 }; /* SO_TIMESTAMPNS, SO_RXQ_OVFL; datagrams in a call */
 
 /* Return the control message of a kind, NULL for none. */
 static const void *control_of(struct msghdr *header, int kind) {
@@ -723,43 +723,73 @@ static void store_frame(struct msghdr *header, Byte *frame) {
     memset(frame + 16 + frame[12], 0, (size_t)(DATA_BYTES - frame[12]));
 }
 
+static Byte datagrams[BATCH][72]; /* struct can_frame and canfd_frame; the interpreter's lock guards them */
+static Byte controls[BATCH][64];
+static struct { unsigned short family; int interface; Byte rest[24]; } senders[BATCH]; /* struct sockaddr_can */
+static struct iovec parts[BATCH];
+static struct mmsghdr headers[BATCH];
+
+/* Append a CAN FD frame, in the order of FdFrame of frame_block.py, to a list. */
+static int append_fd(PyObject *list, Py_ssize_t row, int k) {
+    Byte head[FRAME_BYTES];
+    int64_t t_ns;
+    uint32_t can_id;
+    store_frame(&headers[k].msg_hdr, head);
+    memcpy(&t_ns, head, sizeof t_ns);
+    memcpy(&can_id, datagrams[k], sizeof can_id);
+    int length = datagrams[k][4] < 64 ? datagrams[k][4] : 64;
+    PyObject *frame = Py_BuildValue("nLIiy#iO", row, (long long)t_ns, can_id, (int)datagrams[k][5], datagrams[k] + 8,
+                                    (Py_ssize_t)length, senders[k].interface, head[14] ? Py_True : Py_False);
+    int failed = !frame || PyList_Append(list, frame) < 0;
+    Py_XDECREF(frame);
+    return failed;
+}
+
 PyDoc_STRVAR(receive_doc,
-"receive(fd, headers, control_bytes, room) -> (count, plain, drops)\n\n"
-"Read the waiting datagrams by recvmmsg, without giving up the interpreter. If all are classic frames\n"
-"(plain), store them in ``room``, FRAME (n,), and prepare ``headers`` for the next call. ``drops``: what the\n"
-"kernel says with the last of them, -1 for nothing. Raises OSError.");
+"receive(fd, room, interfaces, fd_frames) -> (count, classic, drops)\n\n"
+"Read up to 256 waiting datagrams by recvmmsg, without giving up the interpreter: ``classic`` frames into\n"
+"``room``, FRAME (n,), the numbers of their interfaces into ``interfaces``, i4 (n,), and CAN FD frames into the\n"
+"list ``fd_frames``. ``drops``: what the kernel says with the last datagram, -1 for nothing. Raises OSError.");
 
 static PyObject *receive(PyObject *module, PyObject *args) {
-    int fd, is_plain = 1;
-    Py_buffer headers, room;
-    Py_ssize_t control_bytes;
+    int fd, failed = 0;
+    Py_buffer room, interfaces;
+    PyObject *fd_frames;
+    Py_ssize_t classic = 0;
     long long drops = -1;
     (void)module;
-    if (!PyArg_ParseTuple(args, "iw*nw*", &fd, &headers, &control_bytes, &room))
+    if (!PyArg_ParseTuple(args, "iw*w*O", &fd, &room, &interfaces, &fd_frames))
         return NULL;
-    struct mmsghdr *datagrams = headers.buf;
-    Py_ssize_t capacity = headers.len / (Py_ssize_t)sizeof *datagrams;
-    int fits = room.len >= capacity * FRAME_BYTES;
-    int count = fits ? recvmmsg(fd, datagrams, (unsigned)capacity, MSG_DONTWAIT, NULL) : -1;
+    Py_ssize_t capacity = room.len / FRAME_BYTES < BATCH ? room.len / FRAME_BYTES : BATCH;
+    int fits = interfaces.len >= capacity * 4 && PyList_Check(fd_frames);
+    for (Py_ssize_t k = 0; k < capacity; k++) {
+        struct msghdr *header = &headers[k].msg_hdr;
+        parts[k].iov_base = datagrams[k], parts[k].iov_len = sizeof datagrams[k];
+        header->msg_iov = &parts[k], header->msg_iovlen = 1;
+        header->msg_name = &senders[k], header->msg_namelen = sizeof senders[k];
+        header->msg_control = controls[k], header->msg_controllen = sizeof controls[k];
+    }
+    int count = fits ? recvmmsg(fd, headers, (unsigned)capacity, MSG_DONTWAIT, NULL) : -1;
     if (!fits)
         PyErr_SetString(PyExc_ValueError, "receive: arguments");
     else if (count < 0 && (errno == EAGAIN || errno == EWOULDBLOCK || errno == EINTR))
         count = 0;
     else if (count < 0)
         PyErr_SetFromErrno(PyExc_OSError);
-    for (int k = 0; k < count && is_plain; k++)
-        is_plain = datagrams[k].msg_len == 16 && !(datagrams[k].msg_hdr.msg_flags & ~(MSG_DONTROUTE | MSG_CONFIRM));
-    for (int k = 0; k < count && is_plain; k++) {
-        struct msghdr *header = &datagrams[k].msg_hdr;
+    for (int k = 0; k < count && !failed; k++) {
+        struct msghdr *header = &headers[k].msg_hdr;
         const uint32_t *dropped = k + 1 == count ? control_of(header, DROPS) : NULL;
         if (dropped)
             drops = *dropped;
-        store_frame(header, (Byte *)room.buf + k * FRAME_BYTES);
-        header->msg_controllen = (size_t)control_bytes;
+        if (headers[k].msg_len == 16) {
+            memcpy((Byte *)interfaces.buf + 4 * classic, &senders[k].interface, 4);
+            store_frame(header, (Byte *)room.buf + FRAME_BYTES * classic++);
+        } else if (headers[k].msg_len == sizeof datagrams[k])
+            failed = append_fd(fd_frames, classic, k);
     }
-    PyBuffer_Release(&headers);
     PyBuffer_Release(&room);
-    return count < 0 ? NULL : Py_BuildValue("iiL", count, is_plain, drops);
+    PyBuffer_Release(&interfaces);
+    return count < 0 || failed ? NULL : Py_BuildValue("inL", count, classic, drops);
 }
 #endif
 
@@ -916,7 +946,7 @@ PyMODINIT_FUNC PyInit__core(void) {
         HEX[(Byte)"0123456789ABCDEF"[k]] = (Byte)k;
     }
     PyObject *module = PyModule_Create(&MODULE);
-    if (module && PyModule_AddIntConstant(module, "INTERFACE", 6) < 0) {
+    if (module && PyModule_AddIntConstant(module, "INTERFACE", 7) < 0) {
         Py_DECREF(module);
         return NULL;
     }

@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-INTERFACE = 6
+INTERFACE = 7
 """Of _core.c: one built from another version of it is not used."""
 
 

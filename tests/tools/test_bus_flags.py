@@ -377,7 +377,7 @@ def test_the_interface_is_the_only_one_that_is_up(
     for name in ("host.network.interfaces.open_bus", "host.live.receive.open_socket", "host.hand.link.open_bus"):
         monkeypatch.setattr(f"tipforce.{name}", refuse)
     monkeypatch.setattr("canopen_device.running.ports.SocketCanPort.__init__", refuse)
-    monkeypatch.setattr("tipforce.host.hand.link.SocketLink.__init__", refuse)
+    monkeypatch.setattr("tipforce.host.hand.link.open_receiver", refuse)
     monkeypatch.chdir(tmp_path)
     Path("H").write_text("[[finger]]\nnode_id = 5\n")
     err = printed(2, command.split()).err

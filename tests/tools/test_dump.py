@@ -302,7 +302,7 @@ def buses(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, socket.socket]]
         sender.close()
 
 
-@pytest.mark.skipif(not receive.AVAILABLE, reason="this system has no recvmmsg of 64 bits")
+@pytest.mark.skipif(not receive.AVAILABLE, reason="needs the sockets of Linux")
 def test_socketcan_frames(buses: dict[str, socket.socket], capsys: pytest.CaptureFixture[str]) -> None:
     def send() -> None:
         while len(buses) < 2:
@@ -327,7 +327,7 @@ def test_socketcan_frames(buses: dict[str, socket.socket], capsys: pytest.Captur
     )
 
 
-@pytest.mark.skipif(not receive.AVAILABLE, reason="this system has no recvmmsg of 64 bits")
+@pytest.mark.skipif(not receive.AVAILABLE, reason="needs the sockets of Linux")
 def test_an_interface_that_goes_down(
     buses: dict[str, socket.socket], monkeypatch: pytest.MonkeyPatch, printed: Printed
 ) -> None:
@@ -348,7 +348,7 @@ def test_an_interface_that_goes_down(
     assert "vcan0: interface down" in printed(2, ["dump", "-n", "1", "vcan0"]).err
 
 
-@pytest.mark.skipif(not receive.AVAILABLE, reason="this system has no recvmmsg of 64 bits")
+@pytest.mark.skipif(not receive.AVAILABLE, reason="needs the sockets of Linux")
 def test_a_bus_that_can_not_be_opened_closes_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[socket.socket] = []
 

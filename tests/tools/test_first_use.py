@@ -22,7 +22,7 @@ from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import CASES
 from tipforce.sensor.structure.published import GROOVES_DEG
 from tipforce.sensor.structure.strain import strain_matrix
-from tipforce.watching.watcher import Finger
+from tipforce.watching.feeds import Finger
 from tipforce_lab.scene_cost import part_costs
 from tipforce_tools.cli import common
 from tipforce_tools.cli.main import main

@@ -5,6 +5,7 @@ import math
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from tipforce_tools.cli.main import main
 from tipforce_tools.plot.figure import broken, wrapped
 from tipforce_tools.plot.fingers import BINS, COVERAGE, Bins, Finger, Flags, Line, Lost, Trace
 from tools.hand_log import START_S, Fault, calibration, contact_pdo, hand_log
+from tools.rig import Printed
 
 T0 = 1_700_000_000_000_000_000
 MS = 1_000_000
@@ -186,11 +188,13 @@ def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def plotted(capsys: pytest.CaptureFixture[str], *words: str) -> list[dict[str, Any]]:
+Plotted = Callable[..., list[dict[str, Any]]]
+
+
+@pytest.fixture
+def plotted(printed: Printed) -> Plotted:
     """What --json says of each node."""
-    assert main(["plot", *words, "--json"]) == 0
-    found: list[dict[str, Any]] = json.loads(capsys.readouterr().out)["nodes"]
-    return found
+    return lambda *words: json.loads(printed(0, ["plot", *words, "--json"]).out)["nodes"]
 
 
 def words_of(path: Path) -> str:
@@ -199,18 +203,18 @@ def words_of(path: Path) -> str:
 
 
 @pytest.mark.parametrize(("suffix", "start"), [(".svg", b"<?xml"), (".pdf", b"%PDF-"), (".PNG", b"\x89PNG\r\n")])
-def test_the_formats(suffix: str, start: bytes, one: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_formats(suffix: str, start: bytes, one: Path, tmp_path: Path, plotted: Plotted) -> None:
     path = tmp_path / f"run{suffix}"
-    (node,) = plotted(capsys, str(one), "-o", str(path))
+    (node,) = plotted(one, "-o", path)
     assert path.read_bytes().startswith(start)
     assert node["node"] == "node 5 (0x05)"
     assert node["signals"] == ["P", "phi", "theta", "SG1", "SG2", "SG3"]
     assert node["lost"] == 5
 
 
-def test_everything_is_written_on_it(one: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_everything_is_written_on_it(one: Path, tmp_path: Path, plotted: Plotted) -> None:
     path = tmp_path / "run.svg"
-    plotted(capsys, str(one), "-o", str(path))
+    plotted(one, "-o", path)
     text = words_of(path)
     for words in (
         "node 5 (0x05), 5 samples lost", "P (N)", "phi (deg)", "theta (deg)", "strain (microstrain)", "SG3", "time (s)",
@@ -224,13 +228,11 @@ def test_everything_is_written_on_it(one: Path, tmp_path: Path, capsys: pytest.C
     ("start", "title"),
     [("0000000000.000000", "from 0 s of the log's clock"), ("0000000012.250000", "from 12.25 s of the log's clock")],
 )
-def test_a_log_whose_clock_is_no_date(
-    start: str, title: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_log_whose_clock_is_no_date(start: str, title: str, tmp_path: Path, plotted: Plotted) -> None:
     log, path = tmp_path / "run.log", tmp_path / "run.svg"
     later = f"{float(start) + 1.0:017.6f}"
     log.write_text("".join(f"({t}) can0 285#E803282394110300\n" for t in (start, later)))
-    plotted(capsys, str(log), "-o", str(path))
+    plotted(log, "-o", path)
     assert title in words_of(path)
 
 
@@ -255,27 +257,25 @@ def test_a_legend_lies_on_no_trace_and_no_title(signals: str, tmp_path: Path, mo
     assert not any(legend.overlaps(other.get_window_extent()) for other in figure.axes if other is not axes)
 
 
-def test_choice_of_signals_times_and_size(one: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_choice_of_signals_times_and_size(one: Path, tmp_path: Path, plotted: Plotted) -> None:
     path = tmp_path / "part.png"
     words = ["--signals", "P,temperature", "--from", "1", "--to", "1.1", "--size", "127x76.2mm"]
-    (node,) = plotted(capsys, str(one), "-o", str(path), *words)
+    (node,) = plotted(one, "-o", path, *words)
     assert node["signals"] in (["P"], ["P", "temperature"])
     assert path.read_bytes()[16:24] == (650).to_bytes(4, "big") + (390).to_bytes(4, "big")
     svg = tmp_path / "part.svg"
-    plotted(capsys, str(one), "-o", str(svg), *words)
+    plotted(one, "-o", svg, *words)
     assert "contact" not in words_of(svg)
 
 
-def test_with_a_calibration_the_contact_comes_from_the_gauges(
-    one: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_with_a_calibration_the_contact_comes_from_the_gauges(one: Path, tmp_path: Path, plotted: Plotted) -> None:
     """The host's contact is as often unknown as the node's, and has bands of its own."""
     cal = tmp_path / "cal.toml"
     write_calibration(cal, calibration())
     no_contact = tmp_path / "gauges.log"
     no_contact.write_text("".join(line for line in one.read_text().splitlines(True) if " 285#" not in line))
-    (from_node,) = plotted(capsys, str(one), "-o", str(tmp_path / "a.svg"))
-    (from_gauges,) = plotted(capsys, str(no_contact), "-o", str(tmp_path / "b.svg"), "--calibration", f"5={cal}")
+    (from_node,) = plotted(one, "-o", tmp_path / "a.svg")
+    (from_gauges,) = plotted(no_contact, "-o", tmp_path / "b.svg", "--calibration", f"5={cal}")
     assert set(from_gauges["signals"]) == set(from_node["signals"])
     for signal, slack in (("P", 0), ("phi", 4), ("theta", 4)):
         difference = from_gauges["unknown"][signal] - from_node["unknown"][signal]
@@ -283,35 +283,35 @@ def test_with_a_calibration_the_contact_comes_from_the_gauges(
     assert "grey: two standard uncertainties" in words_of(tmp_path / "b.svg")
 
 
-def test_five_fingers_share_a_row(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_five_fingers_share_a_row(tmp_path: Path, plotted: Plotted) -> None:
     log = tmp_path / "five.log"
     log.write_text(hand_log((1, 2, 3, 4, 5), 1.0, 100))
     path = tmp_path / "five.svg"
-    assert len(plotted(capsys, str(log), "-o", str(path))) == 5
+    assert len(plotted(log, "-o", path)) == 5
     text = words_of(path)
     assert text.count("P (N)") == text.count("theta unresolved") == 1
     assert all(f"node {k} (0x0{k})" in text for k in range(1, 6))
-    assert [node["node"] for node in plotted(capsys, str(log), "-o", str(path), "--nodes", "2-3")] == [
+    assert [node["node"] for node in plotted(log, "-o", path, "--nodes", "2-3")] == [
         "node 2 (0x02)",
         "node 3 (0x03)",
     ]
 
 
-def test_several_logs_are_one_recording(one: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_several_logs_are_one_recording(one: Path, tmp_path: Path, plotted: Plotted) -> None:
     lines = one.read_text().splitlines(True)
     halves = [tmp_path / "1.log", tmp_path / "2.log"]
     for path, part in zip(halves, (lines[: len(lines) // 2], lines[len(lines) // 2 :]), strict=True):
         path.write_text("".join(part))
-    whole = plotted(capsys, str(one), "-o", str(tmp_path / "a.png"))
-    assert plotted(capsys, *map(str, halves), "-o", str(tmp_path / "b.png")) == whole
+    whole = plotted(one, "-o", tmp_path / "a.png")
+    assert plotted(*map(str, halves), "-o", tmp_path / "b.png") == whole
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
-def test_a_single_sample_is_a_point(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_single_sample_is_a_point(tmp_path: Path, plotted: Plotted) -> None:
     can_id, data = contact_pdo(5, 1.5, 90.0, NAN)
     log = tmp_path / "point.log"
     log.write_text(f"({START_S}.000000) can0 {can_id:03X}#{data.hex()}\n")
-    (node,) = plotted(capsys, str(log), "-o", str(tmp_path / "point.svg"))
+    (node,) = plotted(log, "-o", tmp_path / "point.svg")
     assert node["unknown"] == {"P": 0, "phi": 0, "theta": 1}
     assert "always unknown" in words_of(tmp_path / "point.svg")
 

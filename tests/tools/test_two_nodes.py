@@ -19,8 +19,8 @@ from tipforce.host.hand.file import HandPlan
 from tipforce.host.hand.hand import Hand
 from tipforce.host.logs.reader import open_log
 from tipforce.watching.bus_monitor import BusMonitor
+from tipforce.watching.feeds import Finger, Watcher
 from tipforce.watching.findings import Observed, findings
-from tipforce.watching.watcher import Finger, Watcher
 from tools.rig import Printed, Tipforce
 
 SAID = "two nodes respond as node 5"

@@ -107,11 +107,13 @@ def run(args: argparse.Namespace) -> int:
 
 def _frames(args: argparse.Namespace, parser: CandumpParser) -> Iterator[tuple[float, str, Frame]]:
     """Yield all frames in order, --loop times: seconds after the start, interface, frame. Raises InputError."""
-    clock = Clock(args.speed, args.max_gap)
+    clock, path = Clock(args.speed, args.max_gap), Path(args.log)
+    suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() not in {".gz", ".zst"}]
+    is_text = not suffixes or suffixes[-1] in _TEXT_SUFFIXES
     for _ in islice(count(), args.loop):
         clock.begin_again()
         empty = True
-        for block in log_blocks(args.log, parser):
+        for block in _text_blocks(args.log, parser) if is_text else _message_blocks(path):
             if not block.timed:
                 raise InputError(f"{args.log} has no timestamps: record it with candump -L or `tipforce log`")
             empty = empty and not len(block)
@@ -141,22 +143,9 @@ _BLOCK_FRAMES = 4096
 _TEXT_SUFFIXES = {".log", ".txt"}  # python-can's reader of .log supports neither error frames nor CAN FD flags
 
 
-def log_blocks(name: str, parser: CandumpParser) -> Iterator[CandumpBlock]:
-    """Yield the frames of a log in bounded memory: candump text (also .gz and .zst), or a format of python-can.
-
-    ``parser`` counts the bad lines of text; if it is strict, BadLineError is raised at the first, after the frames
-    before it. Raises InputError for a file that cannot be read.
-    """
-    path = Path(name)
-    suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() not in {".gz", ".zst"}]
-    is_text = not suffixes or suffixes[-1] in _TEXT_SUFFIXES
-    return _text_blocks(name, parser) if is_text else _message_blocks(path)
-
-
 def _text_blocks(name: str, parser: CandumpParser) -> Iterator[CandumpBlock]:
     from tipforce.host.logs.candump import text_blocks
-    from tipforce.host.logs.lines import open_file
-    from tipforce.host.logs.unpacking import decompressed
+    from tipforce.host.logs.lines import decompressed, open_file
 
     stdin = name == STDIN
     with FileIO(sys.stdin.fileno(), closefd=False) if stdin else open_file(Path(name)) as file:
@@ -236,28 +225,24 @@ class Buses:
 
     def send(self, name: str, frame: Frame) -> None:
         """Send one frame to the bus of its interface, or count the reason. Raises EnvironmentLackError."""
-        targets = [self._only] if self._only else self._targets_of.get(name, [])
-        if not self._only and not self._targets_of:
-            targets = [name]
-        for target in targets:
-            self._send(frame, target)
-        if not targets:
-            self.left_out[f"of {name}, which no assignment names"] += 1
-
-    def _send(self, frame: Frame, target: str) -> None:
         from tipforce.host.live.send import NotCarriedError
 
+        own = self._targets_of.get(name, []) if self._targets_of else [name]
+        targets = [self._only] if self._only else own
         _, can_id, length, data, _, _, fd_flags = frame
-        sender = self._senders.get(target) or self._open(target)
-        virtual = self._options.get("interface") in _VIRTUAL or "vcan" in target
-        if can_id & ERROR_FLAG and not virtual:
-            self.left_out["error frames, which only a virtual bus can send"] += 1
-            return
-        try:
-            sender.send(can_id, length, data, fd_flags)
-            self.sent += 1
-        except NotCarriedError as error:
-            self.left_out[f"because {error}"] += 1
+        for target in targets:
+            sender = self._senders.get(target) or self._open(target)
+            virtual = self._options.get("interface") in _VIRTUAL or "vcan" in target
+            if can_id & ERROR_FLAG and not virtual:
+                self.left_out["error frames, which only a virtual bus can send"] += 1
+                continue
+            try:
+                sender.send(can_id, length, data, fd_flags)
+                self.sent += 1
+            except NotCarriedError as error:
+                self.left_out[f"because {error}"] += 1
+        if not targets:
+            self.left_out[f"of {name}, which no assignment names"] += 1
 
     def _open(self, target: str) -> Sender:
         from tipforce.host.live.send import open_sender

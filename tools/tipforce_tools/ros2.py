@@ -106,9 +106,8 @@ def _feed(args: argparse.Namespace, hand_file: Path | None) -> Feed:
         feed.take(0.0)  # reported already
         return feed
     from tipforce.host.logs.reader import open_log
-    from tipforce.watching.feeds import FrameFeed
+    from tipforce.watching.feeds import FrameFeed, finger_maker
     from tipforce.watching.frame_sources import LogSource
-    from tipforce.watching.watcher import finger_maker
     from tipforce_robots.ros2.bridge import PERIOD_NS
 
     return FrameFeed(LogSource(open_log(args.source), args.speed, PERIOD_NS), finger_maker(args.nodes), args.gauges)

@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _source(args: argparse.Namespace, path: Path | None) -> Source:
     from tipforce.sources.layout_file import read_layout
-    from tipforce.watching.watcher import finger_maker
+    from tipforce.watching.feeds import finger_maker
     from tipforce_tools.cli.listening import check_sync, commissioned, listening
     from tipforce_tools.page.sources import LiveSource, LogSource, is_scene, scene_source
 

@@ -29,10 +29,10 @@ class _Heard(FrameBuffer):
     failure: Exception | None = None
     count = 0
 
-    def on_message_received(self, msg: can.Message) -> None:
+    def __call__(self, msg: can.Message) -> None:
         self.failure = None
         self.count += 1
-        super().on_message_received(msg)
+        super().__call__(msg)
 
     def on_error(self, exc: Exception) -> None:
         """Continue; without this python-can's thread would end. A bus that fails repeatedly must not occupy a core."""

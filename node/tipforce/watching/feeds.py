@@ -1,23 +1,221 @@
-"""Rows of all fingers and events, live: of a commissioned hand, or of frames of a bus or a log that are listened to."""
+"""Frames of a bus or a log as blocks of contacts and events of the fingers in them; and the same live, also of a
+commissioned hand."""
+
+from __future__ import annotations
 
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from canopen_device.core.codes import EMCY_BASE, HEARTBEAT_BASE, NMT_COB_ID, NODE_ID_MASK, SYNC_COB_ID, TPDO_BASES
+from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import RefusedError
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.decoding.health import Health
 from tipforce.host.frames.frame_array import FRAME, FrameArray
-from tipforce.host.hand.events import Event
-from tipforce.host.hand.hand import Hand
+from tipforce.host.hand.events import Event, Supervisor
+from tipforce.host.hand.file import HandFile
+from tipforce.host.hand.rows import Collector
 from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
 from tipforce.samples.columns import Block
 from tipforce.samples.record import Rows, joined
-from tipforce.watching.frame_sources import FrameSource
-from tipforce.watching.watcher import Finger, FingerMaker, Watcher
+from tipforce.samples.rows import RowTally
+from tipforce.sensor.structure.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.layouts import CASE_OF_CODE, LAYOUTS
+from tipforce.sensor.structure.strain import Gauge
+
+if TYPE_CHECKING:
+    from tipforce.host.hand.hand import Hand
+    from tipforce.watching.frame_sources import FrameSource
+
+Fallback = tuple[str, Geometry, tuple[Gauge, ...]]
+"""Name, geometry and gauges of a layout."""
+FingerMaker = Callable[[int], "Finger | None"]
+"""The finger of a node-id found on a bus; None hides it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finger:
+    """One fingertip. ``gauges`` is empty if their positions are unknown."""
+
+    node_id: int
+    name: str = ""
+    calibration: Calibration | None = None
+    geometry: Geometry = FABRICATED
+    gauges: tuple[Gauge, ...] = ()
+    layout: str = ""
+
+    @property
+    def label(self) -> str:
+        """Display name: ``thumb`` or ``finger 5``."""
+        return self.name or f"finger {self.node_id}"
+
+
+def with_layout(finger: Finger, layout: str, fallback: Fallback | None) -> Finger:
+    """Return the finger with its gauges: from ``layout``, else from its calibration, else from ``fallback``."""
+    if not layout and finger.calibration is not None:
+        layout = CASE_OF_CODE.get(finger.calibration.layout_code, "")
+    if layout:
+        return replace(finger, layout=layout, gauges=LAYOUTS[layout])
+    if fallback is not None:
+        return replace(finger, layout=fallback[0], geometry=fallback[1], gauges=fallback[2])
+    return finger
+
+
+def hand_fingers(hand: HandFile | Hand, fallback: Fallback | None = None) -> tuple[Finger, ...]:
+    """Return the fingers of a hand, with calibrations and gauge positions. Raises InputError. A commissioned hand has
+    also the nodes' own calibrations, where its file has none."""
+    plans = hand.finger if isinstance(hand, HandFile) else hand.file.finger
+    return tuple(
+        with_layout(Finger(plan.node_id, plan.name, hand.calibration(plan)), plan.layout, fallback) for plan in plans
+    )
+
+
+def finger_maker(node_ids: Collection[int] | None = None, fallback: Fallback | None = None) -> FingerMaker:
+    """Return what makes the fingers; those that are not in ``node_ids`` are hidden."""
+
+    return lambda node: with_layout(Finger(node), "", fallback) if node_ids is None or node in node_ids else None
+
+
+HEARTBEAT_TIMEOUT_S = 2.5
+ROW_TIMEOUT_S = 0.05
+HEALTH_YOUNG_NS = 3_000_000_000
+_SERVICE = ~np.uint32(NODE_ID_MASK)
+_SERVICES = (NMT_COB_ID, EMCY_BASE, HEARTBEAT_BASE)
+_UNPACED_FRAMES = 50  # PDOs without a SYNC, after which a PDO begins the rows
+
+
+class Watcher:
+    """Find fingers by their PDOs, collect rows, monitor heartbeats and EMCY. ``fingers`` are shown from the start."""
+
+    def __init__(self, make_finger: FingerMaker, gauges: int = 3, fingers: Sequence[Finger] = ()) -> None:
+        self._make_finger, self._gauges = make_finger, gauges
+        self.fingers: tuple[Finger, ...] = tuple(fingers)
+        self._bases = {
+            m.cob_id_base: (m.name, m.length_bytes)
+            for m in tpdo_messages(gauges)
+            if m.cob_id_base and m.name != "Health"
+        }
+        self._heard: dict[int, set[str]] = {finger.node_id: set() for finger in fingers}
+        self._collector: Collector | None = None
+        self._supervisor = Supervisor([f.node_id for f in fingers], HEARTBEAT_TIMEOUT_S)
+        self._health = Decoder(gauges)
+        self._health_u: dict[int, tuple[int, float]] = {}
+        self._faults = Health()
+        self._synced = False
+        self._unsynced_pdos = 0
+        self._pacer = 0
+
+    def add(self, frames: FrameArray, now_s: float) -> tuple[list[Block], list[Event]]:
+        """Process frames, FRAME (n,), at the monotonic time ``now_s``; call it also without frames."""
+        self.discover(frames)
+        events = self._watch(frames, now_s)
+        if self._collector is None:
+            return [], events
+        rows = self._collector.add(self._paced(frames), now_s)
+        service = frames["can_id"] & _SERVICE
+        chosen = frames.compress((service == TPDO_BASES[3]) | (service == HEARTBEAT_BASE) | (service == EMCY_BASE))
+        if len(chosen):
+            decoded = self._health.decode(chosen)
+            self._faults.take(chosen, decoded.values())
+            for (node_id, _), samples in decoded.items():
+                self._health_u[node_id] = int(samples.t_ns[-1]), float(samples.columns["u_P"][-1])
+        if not len(rows):
+            return [], events
+        faults = np.stack([self._faults.at(finger.node_id, rows.sync_ns)[0] for finger in self.fingers], axis=-1)
+        calibrations = [finger.calibration for finger in self.fingers]
+        u_of_rows = np.full(rows.counter.shape, np.nan) if self._health_u else None
+        if u_of_rows is not None:
+            for k, finger in enumerate(self.fingers):
+                t_ns, u_P = self._health_u.get(finger.node_id, (0, np.nan))
+                u_of_rows[:, k] = np.where(np.abs(rows.sync_ns - t_ns) < HEALTH_YOUNG_NS, u_P, np.nan)
+        return [rows.block(calibrations, self._gauges, u_of_rows, faults)], events
+
+    def state(self, node_id: int) -> str:
+        """Return the NMT state of a finger by its heartbeat; empty without one."""
+        return self._supervisor.state_name(node_id) if self._supervisor.states.get(node_id, -1) >= 0 else ""
+
+    def tally(self) -> tuple[list[int], list[int], list[int], list[int]]:
+        """Return missing, late, mixed and doubtful responses of each finger so far."""
+        tally = RowTally(tuple(f.node_id for f in self.fingers)) if self._collector is None else self._collector.tally
+        return tally.missing.tolist(), tally.late.tolist(), tally.mixed.tolist(), tally.doubtful.tolist()
+
+    def discover(self, frames: FrameArray) -> None:
+        """Only find the fingers: the first pass over a log."""
+        ids = frames["can_id"]
+        if not self._synced:
+            self._find_pace(frames)
+        changed = False
+        for can_id in np.unique(ids).tolist():
+            base, node_id = can_id & ~NODE_ID_MASK, can_id & NODE_ID_MASK
+            name, length = self._bases.get(base, ("", 0))
+            if not name or not node_id or name in self._heard.get(node_id, ()):
+                continue
+            if int(frames["length"][ids == can_id].max()) < length:
+                continue
+            if node_id not in self._heard:
+                finger = self._make_finger(node_id)
+                if finger is None:
+                    continue
+                self.fingers = tuple(sorted((*self.fingers, finger), key=lambda known: known.node_id))
+                self._heard[node_id] = set()
+                self._supervisor.states.setdefault(node_id, -1)
+            self._heard[node_id].add(name)
+            changed = True
+        if changed:
+            self._new_collector()
+
+    def _new_collector(self) -> None:
+        """Collect the PDOs that all fingers send; if there are none, the one that most fingers send."""
+        sets = [names for names in self._heard.values() if names]
+        count = Counter(name for names in sets for name in names)
+        messages = [name for name, number in count.items() if number == len(sets)] or [count.most_common(1)[0][0]]
+        # TPDO2 first: it names the columns of the contact.
+        messages.sort(key=("Contact", "Force", "Gauges").index)
+        node_ids = [finger.node_id for finger in self.fingers]
+        before, self._collector = self._collector, Collector(node_ids, messages, self._gauges, ROW_TIMEOUT_S)
+        if before is not None:
+            columns = [node_ids.index(node_id) for node_id in before.node_ids]
+            for what in ("missing", "late", "mixed", "doubtful"):
+                getattr(self._collector.tally, what)[columns] = getattr(before.tally, what)
+
+    def _watch(self, frames: FrameArray, now_s: float) -> list[Event]:
+        """Process services one by one: they are few, and in a log each has its own time."""
+        if not len(frames):
+            return self._supervisor.add(frames, now_s)
+        service = frames["can_id"] & _SERVICE
+        few = frames[np.isin(service, _SERVICES) & (frames["can_id"] != SYNC_COB_ID)]
+        events: list[Event] = []
+        for k in range(len(few)):
+            events += self._supervisor.add(few[k : k + 1], float(few["t_ns"][k]) * 1e-9)
+        return events
+
+    def _find_pace(self, frames: FrameArray) -> None:
+        ids = frames["can_id"]
+        self._synced = bool((ids == SYNC_COB_ID).any())
+        pdos = ids[np.isin(ids & _SERVICE, list(self._bases))]
+        self._unsynced_pdos += len(pdos)
+        if not self._pacer and not self._synced and self._unsynced_pdos >= _UNPACED_FRAMES and len(pdos):
+            values, counts = np.unique(pdos, return_counts=True)
+            self._pacer = int(values[counts.argmax()])
+        if self._synced:
+            self._pacer = 0
+
+    def _paced(self, frames: FrameArray) -> FrameArray:
+        if not self._pacer or not len(frames):
+            return frames
+        places = np.flatnonzero(frames["can_id"] == self._pacer)
+        syncs = np.zeros(len(places), dtype=FRAME)
+        syncs["t_ns"], syncs["can_id"] = frames["t_ns"][places], SYNC_COB_ID
+        return np.insert(frames, places, syncs)
+
 
 MOST_WAITING = 10_000
 """Batches of rows and events; beyond it the oldest are dropped."""

@@ -153,16 +153,6 @@ def outcome(hand: SimulatedHand, before: dict[tuple[int, int, int], bytes], poli
     return "restored" if "restored" in kinds else "noticed" if "changed" in kinds else "no change"
 
 
-def single(policy: str, row: Entry[Any], data: bytes, echo: bool = True) -> str:
-    """One object."""
-    with simulated_hand(policy, echo) as hand:
-        before = snapshot(hand)
-        inject(hand, sequence(hand.line.devices[2], row, data))
-        found = outcome(hand, before, policy)
-        assert policy != "restore" or found != "refused" or row.index == indices.CALIBRATION_COMMIT
-        return found
-
-
 FIRST = {
     "health off": (communication.TPDO + 3, 1, 0xC0000482),
     "health moved": (communication.TPDO + 3, 1, 0x400003B3),
@@ -179,16 +169,13 @@ def first_writes(hand: SimulatedHand, how: str) -> list[Write]:
     return sequence(hand.line.devices[2], row, value.to_bytes(types.data_type(row.type).size or 0, "little"))
 
 
-def pair(policy: str, how: str, row: Entry[Any], data: bytes, gap_us: int, echo: bool = True) -> str:
-    """One of FIRST, and within 0.3 s an object."""
-    with simulated_hand(policy, echo) as hand:
-        before = snapshot(hand)
-        first = first_writes(hand, how)
-        inject(hand, first)
-        inject(hand, sequence(hand.line.devices[2], row, data), len(first) * GAP_US + gap_us)
-        found = outcome(hand, before, policy)
-        assert policy != "restore" or found != "refused" or row.index == indices.CALIBRATION_COMMIT
-        return found
+def decided(
+    hand: SimulatedHand, before: dict[tuple[int, int, int], bytes], policy: str, what: str, row: Entry[Any]
+) -> None:
+    """Count the outcome; only a committed calibration is not restored."""
+    found = outcome(hand, before, policy)
+    assert policy != "restore" or found != "refused" or row.index == indices.CALIBRATION_COMMIT
+    COUNTS[what, policy, found] += 1
 
 
 def _ids(case: tuple[Entry[Any], bytes]) -> str:
@@ -212,7 +199,11 @@ VALUES = accepted_values(2)
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize("case", _sample(VALUES, 6, 1), ids=_ids)
 def test_one_object(policy: str, case: tuple[Entry[Any], bytes]) -> None:
-    COUNTS["one object", policy, single(policy, *case, echo=case[0].sub % 2 == 0)] += 1
+    row, data = case
+    with simulated_hand(policy, echo=row.sub % 2 == 0) as hand:
+        before = snapshot(hand)
+        inject(hand, sequence(hand.line.devices[2], row, data))
+        decided(hand, before, policy, "one object", row)
 
 
 def _pairs() -> Iterator[tuple[str, tuple[Entry[Any], bytes], int]]:
@@ -225,7 +216,12 @@ def _pairs() -> Iterator[tuple[str, tuple[Entry[Any], bytes], int]]:
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize(("how", "case", "gap_us"), list(_pairs()), ids=lambda one: one if isinstance(one, str) else "")
 def test_a_pair(policy: str, how: str, case: tuple[Entry[Any], bytes], gap_us: int) -> None:
-    COUNTS[f"{how}, then one object", policy, pair(policy, how, *case, gap_us)] += 1
+    """One of FIRST, and within 0.3 s an object."""
+    with simulated_hand(policy) as hand:
+        before, first = snapshot(hand), first_writes(hand, how)
+        inject(hand, first)
+        inject(hand, sequence(hand.line.devices[2], *case), len(first) * GAP_US + gap_us)
+        decided(hand, before, policy, f"{how}, then one object", case[0])
 
 
 # --- the holes by name ----------------------------------------------------------------------------------------------
@@ -239,24 +235,14 @@ COB_ID_SYNC = entries(3)[communication.COB_ID_SYNC, 0]
 SAVE = communication.STORE_PARAMETERS, 1, codes.SIGNATURE_SAVE.to_bytes(4, "little")
 
 
+OFFSETS = [write(objects.PROCESS_OFFSET[2], 50.0 + k) for k in range(256)]
+MOVED = [write(objects.TPDO2_COB_ID, 0xC0000281), write(objects.TPDO2_COB_ID, 0x40000282)]
+NO_HEARTBEAT = communication.PRODUCER_HEARTBEAT, 0, b"\0\0"
+
+
 def _wrapped(hand: SimulatedHand) -> None:
     first = first_writes(hand, "health off")
-    offsets = [write(objects.PROCESS_OFFSET[2], 50.0 + k) for k in range(256 - len(first))]
-    inject(hand, [*first, *offsets])
-
-
-def _wrapped_with_health(hand: SimulatedHand) -> None:
-    inject(hand, [write(objects.PROCESS_OFFSET[2], 50.0 + k) for k in range(256)])
-
-
-def _moved_to_the_other(hand: SimulatedHand) -> None:
-    inject(hand, [write(objects.TPDO2_COB_ID, 0xC0000281), write(objects.TPDO2_COB_ID, 0x40000282)], node_id=1)
-
-
-def _moved_to_the_other_after_its_heartbeat(hand: SimulatedHand) -> None:
-    off = [(communication.PRODUCER_HEARTBEAT, 0, b"\0\0")]
-    writes = [*off, write(objects.TPDO2_COB_ID, 0xC0000281), write(objects.TPDO2_COB_ID, 0x40000282)]
-    inject(hand, writes, node_id=1)
+    inject(hand, [*first, *OFFSETS[len(first) :]])
 
 
 def _stored_and_reset(*writes: Write) -> Callable[[SimulatedHand], None]:
@@ -283,23 +269,19 @@ def _renumbered(hand: SimulatedHand) -> None:
     hand.line.at(30_000, lambda: hand.line.put(codes.NMT_COB_ID, bytes((codes.NMT_RESET_COMMUNICATION, 2))))
 
 
-def _health_off(hand: SimulatedHand) -> None:
-    inject(hand, first_writes(hand, "health off"))
-
-
 def _tare_after_health(hand: SimulatedHand) -> None:
     first = first_writes(hand, "health off")
     inject(hand, first)
     inject(hand, [write(objects.AUTOTARE[4], table.SIGNATURE_TARA)], len(first) * GAP_US + 300_000)
 
 
-HOLES: dict[str, Callable[[SimulatedHand], None]] = {
-    "health off": _health_off,
+HOLES: dict[str, Callable[[SimulatedHand], object]] = {
+    "health off": lambda hand: inject(hand, first_writes(hand, "health off")),
     "256 writes, health off": _wrapped,
-    "256 writes": _wrapped_with_health,
+    "256 writes": lambda hand: inject(hand, OFFSETS),
     "health off, then a tare": _tare_after_health,
-    "COB-ID of the other finger": _moved_to_the_other,
-    "heartbeat off, then COB-ID of the other finger": _moved_to_the_other_after_its_heartbeat,
+    "COB-ID of the other finger": lambda hand: inject(hand, MOVED, node_id=1),
+    "heartbeat off, then COB-ID of the other finger": lambda hand: inject(hand, [NO_HEARTBEAT, *MOVED], node_id=1),
     "1005h, stored and reset": _stored_and_reset((communication.COB_ID_SYNC, 0, b"\x90\0\0\0")),
     "offset, stored and reset": _stored_and_reset(write(objects.PROCESS_OFFSET[2], 50.0)),
     "tare by RPDO": _tare_by_rpdo,

@@ -113,27 +113,25 @@ def test_one_that_fails_half_way_does_not_hold_the_others(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("serials", "wanted", "step", "text"),
+    ("nodes", "wanted", "failed", "text"),
     [
-        ((1, 2), ((1, 2), (2, 1)), "identity", "check for swapped fingers"),
-        ((1,), ((1, 1), (2, 2)), "find", "a node with serial 2 does not respond to LSS"),
-        ((1,), ((1, 1), (2, 0)), "find", "a node without a node-id does not respond to LSS"),
+        ("1:1 2:2", "1:2 2:1", "2 at identity", "check for swapped fingers"),
+        ("1:1", "1:1 2:2", "2 at find", "a node with serial 2 does not respond to LSS"),
+        ("1:1", "1:1 2:0", "2 at find", "a node without a node-id does not respond to LSS"),
+        ("1:1 1:2 3:3", "1:1 3:3", "1 at find", "two nodes respond as node 1 (serial numbers 1, 2)"),
+        ("3:3 1:1", "3:3 1:1", "1 at calibrate", "locked"),
     ],
 )
-def test_what_is_wrong_is_named(
-    tmp_path: Path, serials: tuple[int, ...], wanted: tuple[tuple[int, int], ...], step: str, text: str
-) -> None:
-    with hand_of(*(node(k + 1, serial, tmp_path) for k, serial in enumerate(serials))) as (connection, _):
-        reports, _ = up(connection, plan(*wanted, folder=tmp_path))
-        assert reports[1].failed == step
-        assert text in reports[1].error
-
-
-def test_two_nodes_with_one_id(tmp_path: Path) -> None:
-    with hand_of(node(1, 1, tmp_path), node(1, 2, tmp_path), node(3, 3, tmp_path)) as (connection, _):
-        reports, _ = up(connection, plan((1, 1), (3, 3), folder=tmp_path))
-        assert [report.failed for report in reports] == ["find", ""]
-        assert "two nodes respond as node 1 (serial numbers 1, 2)" in reports[0].error
+def test_what_is_wrong_is_named(tmp_path: Path, nodes: str, wanted: str, failed: str, text: str) -> None:
+    """Of nodes and fingers with these node-ids and serial numbers."""
+    present, fingers = ([(int(word[0]), int(word[2])) for word in words.split()] for words in (nodes, wanted))
+    with hand_of(*(node(node_id, serial, tmp_path) for node_id, serial in present)) as (connection, _):
+        if text == "locked":
+            connection.sdo(1).write(od.CALIBRATION_LOCK, 1)
+        reports, _ = up(connection, plan(*fingers, folder=tmp_path))
+        wrong = {f"{report.plan.node_id} at {report.failed}": report.error for report in reports if not report.ok}
+        assert text in wrong[failed]
+        assert "1:2" in wanted or len(wrong) == 1
 
 
 def test_responses_to_another_master_are_no_second_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -145,14 +143,6 @@ def test_responses_to_another_master_are_no_second_node(tmp_path: Path, monkeypa
 
         monkeypatch.setattr(find, "time", SimpleNamespace(sleep=sleep))
         assert find.responding_nodes(connection) == {1}
-
-
-def test_a_calibration_that_the_node_refuses(tmp_path: Path) -> None:
-    with hand_of(node(1, 1, tmp_path)) as (connection, _):
-        connection.sdo(1).write(od.CALIBRATION_LOCK, 1)
-        reports, _ = up(connection, plan((1, 1), folder=tmp_path))
-        assert reports[0].failed == "calibrate"
-        assert "locked" in reports[0].error
 
 
 def test_a_stopped_node_is_brought_back(tmp_path: Path) -> None:

@@ -125,6 +125,10 @@ CASES: dict[str, tuple[list[tuple[int, bytes]], list[list[int]], dict[str, list[
         [*unnumbered(254, 255, None, 0, 1, 1, 1), SYNC],
         [[PRESENT], [PRESENT], [NO_RESPONSE], [PRESENT], [PRESENT], [DOUBTFUL], [DOUBTFUL]], {},
     ),
+    "without numbers an answer after the next SYNC is missing, and doubtful in the row of that": (
+        [SYNC, answer(1, 1), answer(2, 1), SYNC, answer(1, 2), SYNC, answer(2, 2), answer(1, 3), answer(2, 3), SYNC],
+        [[PRESENT, PRESENT], [PRESENT, NO_RESPONSE], [PRESENT, DOUBTFUL]], {},
+    ),
 }  # fmt: skip
 
 
@@ -244,18 +248,6 @@ def test_the_count_of_a_foreign_producer_is_learnt() -> None:
 
 
 # --- without numbers
-
-
-def test_without_numbers_an_answer_after_the_next_sync_is_missing() -> None:
-    stream = Stream(1, 2)
-    stream.add(SYNC, answer(1, 1, 100), answer(2, 1, 200))
-    stream.add(SYNC, answer(1, 2, 110))
-    (row,) = stream.add(SYNC)[-1:]
-    assert row[0] == 0.11
-    assert np.isnan(row[1])
-    assert stream.add(answer(2, 2, 210), answer(1, 3, 120)) == []  # late, or that of this SYNC: the next SYNC tells
-    stream.add(answer(2, 3, 220), SYNC)
-    assert stream.reasons[-1] == [PRESENT, DOUBTFUL]
 
 
 def test_pdos_of_two_samples_are_mixed_and_not_shown() -> None:

@@ -5,7 +5,7 @@ from bench import live
 
 from tipforce.host.live import receive
 
-pytestmark = pytest.mark.skipif(not receive.AVAILABLE, reason="this system has no recvmmsg of 64 bits")
+pytestmark = pytest.mark.skipif(not receive.AVAILABLE, reason="needs the sockets of Linux")
 
 
 @pytest.mark.parametrize("busy", [False, True])

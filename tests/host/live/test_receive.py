@@ -30,10 +30,10 @@ def can_frame(can_id: int, data: bytes, length: int | None = None) -> bytes:
     return struct.pack("=IB3x8s", can_id, len(data) if length is None else length, data)
 
 
-@pytest.fixture(autouse=True, params=["core", "ctypes"])
+@pytest.fixture(autouse=True, params=["core", "Python"])
 def _body(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """What reads the datagrams."""
-    if request.param == "ctypes":
+    if request.param == "Python":
         monkeypatch.setattr(receive, "core", None)
     elif core is None:
         pytest.skip("needs the compiled core")
@@ -43,7 +43,7 @@ def _body(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> No
 def connected(channel: str = "vcan0", capacity: int = 256) -> Iterator[tuple[SocketReceiver, socket.socket]]:
     """A receiver, and the socket that is its bus."""
     if not receive.AVAILABLE:
-        pytest.skip("this system has no recvmmsg of 64 bits")
+        pytest.skip("needs the sockets of Linux")
     one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     one.bind(("127.0.0.1", 0))
     prepare_socket(one)
@@ -119,6 +119,16 @@ def test_can_fd_frames_stand_beside_the_classic_ones() -> None:
     assert block.positions().tolist() == [0, 3]
     assert block.frames["t_ns"][0] <= block.fd[0].t_ns <= block.fd[1].t_ns <= block.frames["t_ns"][1]
     assert len(Decoder().decode(block.frames)) == 0
+
+
+def test_frames_of_all_interfaces_have_the_name_of_theirs() -> None:
+    with connected("any") as (receiver, bus):
+        bus.send(can_frame(0x181, b""))
+        bus.send(struct.pack("=IBB2x64s", 0x285, 12, 0, bytes(64)))
+        time.sleep(0.01)
+        block = receiver.receive_block(5.0)
+    assert len(block.names) == 1
+    assert (block.frames["channel"].tolist(), [frame.interface for frame in block.fd]) == ([0], [0])
 
 
 def test_what_the_kernel_dropped_is_counted() -> None:

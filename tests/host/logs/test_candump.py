@@ -12,7 +12,7 @@ from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.host.frames.frame_array import RawFrame, frame_array
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump import BadLineError, CandumpParser, text_blocks
-from tipforce.host.logs.candump_format import CandumpFormat, error_text, identifier_text
+from tipforce.host.logs.candump_format import CandumpFormat, error_text
 from tipforce.host.logs.notes import EXPECTED, BadLine
 from tools.blocks import block_of_text
 
@@ -148,12 +148,6 @@ def test_time_that_goes_back_shows_as_zero_not_as_garbage() -> None:
     block = block_of([((5_000_000_000, 0x181, b""), "c"), ((4_000_000_000, 0x181, b""), "c")])
     for kind in "zd":
         assert CandumpFormat(kind).lines(block)[1].startswith(" (000.000000)  c")
-
-
-def test_identifier_text() -> None:
-    assert identifier_text(0x81) == "081"
-    assert identifier_text(0x81 | EXTENDED_FLAG | REMOTE_FLAG) == "00000081"
-    assert identifier_text(0x81 | ERROR_FLAG) == "20000081"
 
 
 def test_an_error_class_that_candump_does_not_know() -> None:

@@ -248,12 +248,6 @@ def test_many_shapes_of_lines() -> None:
     assert in_bulk([text]) == line_by_line(text)
 
 
-def test_more_interfaces_than_channels() -> None:
-    text = "".join(f"(1700000000.000000) can{k} 123#\n" for k in range(300)).encode()
-    found = in_bulk([text])
-    assert (len(found.frames), found.notes.bad) == (256, {"interface": 44})
-
-
 def test_lines_that_only_look_as_long_as_the_first() -> None:
     line = b"(1700000000.000000) can0 181#0102030405060708\n"
     # Two lines in the room of one, a line end where data should be, and one line over two rooms.

@@ -73,18 +73,12 @@ def check(path: Path, channel: str) -> None:
 
 
 @pytest.mark.parametrize("order", "<>")
-@pytest.mark.parametrize("magic", [0xA1B2C3D4, 0xA1B23C4D])
-def test_pcap(tmp_path: Path, order: str, magic: int) -> None:
-    path = tmp_path / "x.pcap"
-    path.write_bytes(pcap([socketcan(*frame) for frame in FRAMES], order=order, magic=magic))
+@pytest.mark.parametrize(("magic", "resolution"), [(0xA1B2C3D4, 6), (0xA1B23C4D, 9)])
+def test_both_formats(tmp_path: Path, order: str, magic: int, resolution: int) -> None:
+    path, packets = tmp_path / "x", [socketcan(*frame) for frame in FRAMES]
+    path.write_bytes(pcap(packets, order=order, magic=magic))
     check(path, "can")
-
-
-@pytest.mark.parametrize("order", "<>")
-@pytest.mark.parametrize("resolution", [6, 9])
-def test_pcapng(tmp_path: Path, order: str, resolution: int) -> None:
-    path = tmp_path / "x.pcapng"
-    path.write_bytes(pcapng([socketcan(*frame) for frame in FRAMES], order, resolution=resolution))
+    path.write_bytes(pcapng(packets, order, resolution=resolution))
     check(path, "can7")
 
 

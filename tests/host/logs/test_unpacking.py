@@ -17,7 +17,7 @@ from mcap.writer import CompressionType, Writer
 
 from tipforce.errors import InputError, LogError
 from tipforce.host.frames.frame_array import MAX_CHANNELS
-from tipforce.host.logs import captures, unpacking
+from tipforce.host.logs import captures, lines
 from tipforce.host.logs.reader import open_log
 from tipforce_tools.cli.main import main
 
@@ -29,9 +29,9 @@ LINES = b"".join(b"(1700000000.%06d) can0 285#%016X\n" % (k, k * 2654435761) for
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Limits at which a test is fast."""
-    monkeypatch.setattr(unpacking, "FREE_BYTES", FREE)
-    monkeypatch.setattr(unpacking, "MOST_CHUNK_BYTES", CHUNK)
-    monkeypatch.setattr(unpacking, "LONGEST_LINE", LINE)
+    monkeypatch.setattr(lines, "FREE_BYTES", FREE)
+    monkeypatch.setattr(lines, "MOST_CHUNK_BYTES", CHUNK)
+    monkeypatch.setattr(lines, "LONGEST_LINE", LINE)
 
 
 def gz(data: bytes) -> bytes:
@@ -150,9 +150,9 @@ def test_a_real_log_is_read_however_it_is_packed(tmp_path: Path) -> None:
         assert count == (3 if name.startswith("y") else 1) * 20_000, name
     for kind in ("zlib", "zstd", "lz4"):
         pack = {"zlib": zlib.compress, "zstd": zstandard.compress, "lz4": lz4.frame.compress}[kind]
-        assert unpacking.unpacked_chunk("x", kind, pack(bytes(CHUNK))) == bytes(CHUNK)
+        assert lines.unpacked_chunk("x", kind, pack(bytes(CHUNK))) == bytes(CHUNK)
         with pytest.raises(LogError, match=CHUNKS):
-            unpacking.unpacked_chunk("x", kind, pack(bytes(CHUNK + 1)))
+            lines.unpacked_chunk("x", kind, pack(bytes(CHUNK + 1)))
 
 
 def test_a_large_blf_is_read_and_of_a_cut_one_what_it_has(tmp_path: Path) -> None:

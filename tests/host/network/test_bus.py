@@ -72,7 +72,7 @@ def frames(count: int) -> list[can.Message]:
 def test_a_full_buffer_drops_the_oldest_and_counts_them() -> None:
     buffer = FrameBuffer(limit=10)
     for message in frames(25):
-        buffer.on_message_received(message)
+        buffer(message)
     kept = buffer.take_all()["can_id"].tolist()
     assert kept == list(range(25 - len(kept), 25))
     assert len(kept) <= 10
@@ -81,7 +81,7 @@ def test_a_full_buffer_drops_the_oldest_and_counts_them() -> None:
 
 def test_a_buffer_passes_over_can_fd() -> None:
     buffer = FrameBuffer()
-    buffer.on_message_received(can.Message(is_fd=True, data=bytes(12)))
+    buffer(can.Message(is_fd=True, data=bytes(12)))
     assert not len(buffer.take_all())
 
 

@@ -18,7 +18,7 @@ from host.bus_with_nodes import beam_calibration
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.logs.reader import open_log
 from tipforce.samples import reasons
-from tipforce.watching.watcher import Finger
+from tipforce.watching.feeds import Finger
 from tipforce_tools.cli.main import main
 from tipforce_tools.page.sources import LogSource
 from tools.decode.logs import START_US, decode, log_lines, number, rows_of, write_log

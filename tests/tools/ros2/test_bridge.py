@@ -19,9 +19,8 @@ from tipforce.host.logs.reader import open_log
 from tipforce.samples.columns import Block
 from tipforce.samples.reasons import Status
 from tipforce.shipped_files import shipped_folder
-from tipforce.watching.feeds import FrameFeed
+from tipforce.watching.feeds import Finger, FrameFeed
 from tipforce.watching.frame_sources import LogSource
-from tipforce.watching.watcher import Finger
 from tipforce_robots.ros2 import bridge as diagnosing
 from tipforce_robots.ros2 import cdr, dds
 from tipforce_robots.ros2.bridge import PERIOD_NS, Bridge, Tip

@@ -15,7 +15,7 @@ from tipforce.errors import RefusedError
 from tipforce.samples.columns import Block
 from tipforce.samples.reasons import NO_ANSWER
 from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT, FRONT_END_FAULT
-from tipforce.watching.watcher import Finger, with_layout
+from tipforce.watching.feeds import Finger, with_layout
 from tipforce_tools.page.guard import Guard
 from tipforce_tools.page.model import Model
 from tipforce_tools.page.server import ViewServer

@@ -13,7 +13,7 @@ from tipforce.host.frames.frame_array import frame_array
 from tipforce.samples.reasons import NO_ANSWER
 from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT, FRONT_END_FAULT
 from tipforce.shipped_files import file_or_shipped
-from tipforce.watching.watcher import Finger, finger_maker
+from tipforce.watching.feeds import Finger, finger_maker
 from tipforce_tools.page.server import ViewServer
 from tipforce_tools.page.sources import LogSource, scene_source
 from tools.view.support import MovingSource, serving

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 
 from tipforce.samples.reasons import NO_ANSWER, Status
 from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT, FRONT_END_FAULT, MISSES_TIP, SATURATED, STALE
-from tipforce_tools.page.messages import MAX_BINS, Cursor
-from tipforce_tools.page.model import MAX_BYTES, Model, row_bytes
-from tipforce_tools.page.states import FingerState
+from tipforce_tools.page.connection import MAX_BINS, Cursor
+from tipforce_tools.page.model import MAX_BYTES, FingerState, Model, row_bytes
 from tools.rig import Clock
 from tools.view.support import MS, START_NS, block, fingers, with_status
 

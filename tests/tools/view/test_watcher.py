@@ -26,10 +26,9 @@ from tipforce.sensor.contact import estimate as contact_model
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT
 from tipforce.shipped_files import file_or_shipped
-from tipforce.watching.feeds import FrameFeed
+from tipforce.watching.feeds import Finger, FrameFeed, Watcher, finger_maker
 from tipforce.watching.frame_sources import FrameSource
-from tipforce.watching.watcher import Finger, Watcher, finger_maker
-from tipforce_tools.page.messages import drawing
+from tipforce_tools.page.connection import drawing
 from tipforce_tools.page.sources import LiveSource, LogSource, scene_source
 from tools.view.support import MS, START_NS, WAIT_S, fingers
 

@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from tipforce.host.hand.events import Event
     from tipforce.host.hand.file import HandFile
     from tipforce.output_file import Kind
-    from tipforce.watching.feeds import Feed
-    from tipforce.watching.watcher import Finger
+    from tipforce.watching.feeds import Feed, Finger
     from tipforce_robots.ros2.dds import RosDomain
 
 PERIOD_NS = 1_000_000_000

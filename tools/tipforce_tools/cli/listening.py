@@ -22,9 +22,8 @@ if TYPE_CHECKING:
     from tipforce.host.frames.frame_block import CandumpBlock
     from tipforce.host.hand.bring_up import FingerReport
     from tipforce.host.live.receiver import ReceiverGroup, Selection
-    from tipforce.watching.feeds import FrameFeed, HandFeed
+    from tipforce.watching.feeds import Fallback, FrameFeed, HandFeed
     from tipforce.watching.findings import Finding, Observed
-    from tipforce.watching.watcher import Fallback
 
 _HINT_S = 0.5
 _sync_hz = common.number_within(0.0, 10_000.0, "is above 0 up to 10000 Hz", over=True)
@@ -154,9 +153,8 @@ def listening(
     from tipforce.host.hand.file import read_hand
     from tipforce.host.live.receiver import TICK_S
     from tipforce.host.network.bus_load import DEFAULT_BIT_RATE
-    from tipforce.watching.feeds import FrameFeed
+    from tipforce.watching.feeds import Finger, FrameFeed, finger_maker, hand_fingers
     from tipforce.watching.frame_sources import BusSource
-    from tipforce.watching.watcher import Finger, finger_maker, hand_fingers
 
     fingers: tuple[Finger, ...] = ()
     if hand_file is None:
@@ -188,8 +186,7 @@ def commissioned(args: Namespace, path: Path, fallback: Fallback | None = None) 
     """Commission and start the hand of a file: reports go to stderr and to the feed's events."""
     from tipforce.host.hand.file import read_hand
     from tipforce.host.hand.hand import Hand
-    from tipforce.watching.feeds import HandFeed
-    from tipforce.watching.watcher import hand_fingers
+    from tipforce.watching.feeds import HandFeed, hand_fingers
 
     hand = Hand.from_file(path, **bus_flags.find_bus(args, read_hand(path).bus))
     try:

@@ -33,9 +33,8 @@ from tipforce.host.dataset.store import FOLDER, Store, url_of
 from tipforce.host.decoding.log_part import Piece, Reading
 from tipforce.host.decoding.recording import Recording, State, Told
 from tipforce.host.decoding.sample_table import Column
-from tipforce.host.logs.lines import open_file
+from tipforce.host.logs.lines import decompressed, open_file
 from tipforce.host.logs.reader import log_kind
-from tipforce.host.logs.unpacking import decompressed
 from tipforce_tools.decode.workers import InOrder, Sink, Workers, Written
 from tipforce_tools.writing.dataset_files import BASE, DatasetSink, events_file, joined_parts
 from tipforce_tools.writing.writers import Shape

@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the demo; return 0 if every error is inside its bound and the host agrees with the nodes, otherwise 1."""
     if args.view:  # the scene of a hand, in a loop. Its time is simulated: no row is missing
         from tipforce.shipped_files import file_or_shipped
-        from tipforce.watching.watcher import finger_maker
+        from tipforce.watching.feeds import finger_maker
         from tipforce_tools.page.server import serve_page
         from tipforce_tools.page.sources import scene_source
 

@@ -199,35 +199,29 @@ def screen_text(
 
 def json_text(block: CandumpBlock, decoded: Decoded, services: Iterable[Service]) -> str:
     """Return one JSON object per frame."""
-
-    def record(t_ns: int, interface: int, can_id: int, data: bytes) -> dict[str, Any]:
-        return {
+    records: list[dict[str, Any]] = []
+    for t_ns, can_id, length, data, interface, _, fd_flags in block.in_order():
+        record = {
             "t": t_ns / 1_000_000_000 if block.timed else None,  # integers: 1e9 would round t_ns first
             "interface": block.names[interface],
             "id": identifier_text(can_id),
             "data": data.hex().upper(),
         }
-
-    frames = block.frames
-    data = frames["data"].tobytes()
-    columns = (frames[name].tolist() for name in ("t_ns", "can_id", "length", "channel"))
-    records = []
-    for row, (t_ns, can_id, length, interface) in enumerate(zip(*columns, strict=True)):
-        records.append(record(t_ns, interface, can_id, data[8 * row : 8 * row + length]))
-        if can_id & ERROR_FLAG:
-            records[-1]["error"] = True
+        if fd_flags is not None:
+            switch, state = bool(fd_flags & BIT_RATE_SWITCH), bool(fd_flags & ERROR_STATE)
+            record |= {"fd": True, "bit_rate_switch": switch, "error_state": state}
+        elif can_id & ERROR_FLAG:
+            record["error"] = True
         elif can_id & REMOTE_FLAG:
-            records[-1] |= {"data": "", "remote": True, "length": length}
+            record |= {"data": "", "remote": True, "length": length}
+        records.append(record)
+    classic = [records[position] for position in block.positions().tolist()]
     for samples in decoded.values():
-        _add_values(records, samples)
+        _add_values(classic, samples)
     for service in services:
         node_id = {"node": service.node_id} if service.node_id else {}
-        records[service.row] |= {**node_id, "service": service.name, "text": service.text}
-    for number, frame in enumerate(block.fd):
-        switch, state = bool(frame.flags & BIT_RATE_SWITCH), bool(frame.flags & ERROR_STATE)
-        made = record(frame.t_ns, frame.interface, frame.can_id, frame.data)
-        records.insert(frame.row + number, made | {"fd": True, "bit_rate_switch": switch, "error_state": state})
-    return "".join(json.dumps(one) + "\n" for one in records)
+        classic[service.row] |= {**node_id, "service": service.name, "text": service.text}
+    return "".join(json.dumps(record) + "\n" for record in records)
 
 
 def _add_values(records: list[dict[str, Any]], samples: Samples) -> None:

@@ -1,5 +1,6 @@
 """The model of a page: the last minutes, or a whole log, of all fingers, with events and counters, as one thread writes
-and any number of browsers read them: pictures of a moment, envelopes of any part."""
+and any number of browsers read them: pictures of a moment, envelopes of any part. No finger is live without a young
+sample."""
 
 import threading
 import time
@@ -14,19 +15,55 @@ import numpy.typing as npt
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump_format import CandumpFormat
+from tipforce.samples import reasons
 from tipforce.samples.columns import Block
 from tipforce.samples.reasons import NO_ANSWER
-from tipforce.sensor.contact.scalar import FRONT_END_FAULT, SATURATED
-from tipforce.watching.feeds import Counters
-from tipforce.watching.watcher import Finger
-from tipforce_tools.page.states import FingerState, finger_states, period_ns
+from tipforce.sensor.contact.scalar import FRONT_END_FAULT, SATURATED, STALE
+from tipforce.watching.feeds import Counters, Finger
 
 MAX_BYTES = 96 << 20
 MAX_ROWS = 600_000
 MAX_EVENTS = 2000
 SHOWN_FRAMES = 12
 _RATE_ROWS = 4096
+STALE_PERIODS = 2.5
+STALE_S = 0.5
+"""Used if no SYNC period is known."""
+STREAM_STALE_S = 0.1
+"""Minimum age of a stale stream: three pictures of the page."""
+NO_ANSWER_S = 2.0
+_PERIOD_ROWS = 33
+_LOOK_BACK_ROWS = 4096
+_DIGITS = (4, 3, 3)  # P in N, phi and theta in degrees: one more than the node's resolution
+
 Charted = Literal["contact", "forces", "gauges"]
+Word = Literal["live", "stale", "unknown", "silent"]
+
+
+class FingerState(
+    msgspec.Struct,
+    frozen=True,
+    omit_defaults=True,
+    rename={
+        "word": "w", "since_ms": "since", "status": "s", "reason": "why", "angle_reason": "angle", "flags": "f",
+        "contact": "c", "gauges": "g",
+    },
+):  # fmt: skip
+    """State of one finger, as a page gets it. A "silent" one has no numbers; those of a "stale" one are old."""
+
+    word: Word
+    since_ms: float
+    """Time of the sample; 0 for none."""
+    status: int = 0
+    reason: str = ""
+    """Why P, phi and theta are unknown; empty otherwise."""
+    angle_reason: str = ""
+    """Why only phi or theta is unknown."""
+    flags: tuple[str, ...] = ()
+    """What the status says besides contact and calibration, in words."""
+    contact: tuple[float, ...] = ()
+    u: tuple[float, ...] = ()
+    gauges: tuple[float, ...] = ()
 
 
 class PageEvent(msgspec.Struct, frozen=True, rename={"number": "n", "t_ms": "t", "node_id": "node"}):
@@ -65,9 +102,8 @@ class Picture(msgspec.Struct, omit_defaults=True, rename={"states": "fingers"}):
 class Model:
     """The rows of a recording or a bus, for any number of pages; thread-safe.
 
-    ``live`` is False for a log, which has a beginning and an end. Rows are in the order of time: beyond ``capacity``
-    (0: what fits into MAX_BYTES) the oldest are dropped, and a time that steps backwards (a set clock) continues from
-    the last.
+    ``live`` is False for a log. Rows are in the order of time: beyond ``capacity`` (0: what fits into MAX_BYTES) the
+    oldest are dropped, and a time that steps backwards (a set clock) continues from the last.
     """
 
     def __init__(
@@ -251,3 +287,65 @@ def forces(contact: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     """Return F1 = P sin(phi), F2 = P sin(phi - theta), F3 = P cos(phi) of (..., 3) P, phi, theta in degrees."""
     P, phi, theta = np.moveaxis(contact, -1, 0)
     return np.stack([P * np.sin(np.radians(phi)), P * np.sin(np.radians(phi - theta)), P * np.cos(np.radians(phi))], -1)
+
+
+def period_ns(t_ns: npt.NDArray[np.int64]) -> int:
+    """Return the SYNC period of the last rows (m,) in nanoseconds; 0 for too few rows."""
+    times = t_ns[-_PERIOD_ROWS:]
+    return int(np.median(np.diff(times))) if len(times) > 2 else 0
+
+
+def finger_states(rows: Block, now_ns: int) -> list[FingerState]:
+    """Return the state of each finger at ``now_ns``, from the rows up to then. A sample is live for 2.5 SYNC periods,
+    counted in SYNCs while these arrive (0.5 s if the period is unknown; without SYNC at least 0.1 s)."""
+    recent = rows.part(slice(-_PERIOD_ROWS, None))
+    if not len(recent):
+        return [_silent(0)] * rows.status.shape[1]
+    period = period_ns(recent.t_ns)
+    limit_ns = int(STALE_PERIODS * period) if period else int(STALE_S * 1e9)
+    newest_ns = int(recent.t_ns[-1])
+    stopped = now_ns - newest_ns > max(limit_ns, int(STREAM_STALE_S * 1e9))
+    # The row to show of each finger: its last new and recent one, else any response, else -1. A SYNC without a new
+    # sample (status bit 3) is ignored while the previous sample is not stale.
+    young = (recent.t_ns >= newest_ns - limit_ns)[:, np.newaxis]
+    answered = (recent.status & NO_ANSWER == 0) & young
+    number = np.arange(len(recent))[:, np.newaxis]
+    fresh_row = np.where(answered & (recent.status & STALE == 0), number, -1).max(axis=0)
+    shown = np.where(fresh_row >= 0, fresh_row, np.where(answered, number, -1).max(axis=0)).tolist()
+    return [
+        _state(recent, row, k, "live") if row >= 0 and not stopped else _old(rows, k, now_ns)
+        for k, row in enumerate(shown)
+    ]
+
+
+def _old(rows: Block, k: int, now_ns: int) -> FingerState:
+    back = rows.part(slice(-_LOOK_BACK_ROWS, None))
+    answered = np.flatnonzero(back.status[:, k] & NO_ANSWER == 0)
+    if not len(answered):
+        return _silent(0)
+    row = int(answered[-1])
+    if now_ns - back.t_ns[row] > NO_ANSWER_S * 1e9:
+        return _silent(int(back.t_ns[row]))
+    return _state(back, row, k, "stale")
+
+
+def _state(block: Block, row: int, k: int, word: Word) -> FingerState:
+    contact, status = block.contact[row, k], int(block.status[row, k])
+    reason = angle_reason = ""
+    if np.isnan(contact[0]):
+        reason = next(iter(reasons.why_no_force(status)), "the node sends no force")
+    elif np.isnan(contact[1:]).any():
+        angle_reason = reasons.why_no_angle(status) or reasons.UNKNOWN_TO_THE_NODE
+    if reason and word == "live":
+        word = "unknown"
+    flags = tuple(reasons.flags(status) if reason else reasons.doubts(status))
+    values, u = (
+        tuple(round(value, digits) for value, digits in zip(of[row, k].tolist(), _DIGITS, strict=True))
+        for of in (block.contact, block.u)
+    )
+    strains = tuple(round(strain, 1) for strain in block.gauges[row, k].tolist())
+    return FingerState(word, int(block.t_ns[row]) / 1e6, status, reason, angle_reason, flags, values, u, strains)
+
+
+def _silent(since_ns: int) -> FingerState:
+    return FingerState("silent", since_ns / 1e6, reason="no response")

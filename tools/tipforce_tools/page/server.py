@@ -1,7 +1,5 @@
-"""The page's server: static files and a WebSocket for each page, in one thread of an asyncio loop. websockets limits
-handshakes and messages, and reports a page that stops reading. Beyond the limit of connections, the one that has waited
-or read nothing for the longest time is dropped; beyond a page's budget of requests or pings, its own.
-"""
+"""The page's server: static files and a WebSocket for each page, in one thread of an asyncio loop. Beyond the limit of
+connections, the one that has waited or read nothing for the longest is dropped; beyond a page's budget, its own."""
 
 from __future__ import annotations
 

@@ -20,9 +20,8 @@ from tipforce.host.logs.reader import open_log
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, range_of_bits
 from tipforce.samples import reasons
 from tipforce.samples.reasons import Status
-from tipforce.watching.feeds import Counters, Feed
+from tipforce.watching.feeds import Counters, Feed, Finger, FingerMaker, Watcher, with_layout
 from tipforce.watching.findings import not_calibrated
-from tipforce.watching.watcher import Finger, FingerMaker, Watcher, with_layout
 from tipforce_tools.page.model import MAX_BYTES, Model, row_bytes
 
 LOG_BYTES = 8 * MAX_BYTES

@@ -12,7 +12,6 @@ from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.decoding.health import joins, with_services
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.frames.frame_array import FrameArray
-from tipforce.host.logs.lines import never
 from tipforce.host.logs.notes import BadLine
 from tipforce.host.logs.reader import LogReader, within
 
@@ -52,7 +51,7 @@ class Reading:
     origin_ns: int | None = None
     strict: bool = False
     follow: bool = False
-    stop: Callable[[], bool] = never
+    stop: Callable[[], bool] | None = None
     """Ends a log that grows, and stdin, by returning True; a reading with another than ``never`` stays here."""
     deltas: bool = False
     reasons: bool = True

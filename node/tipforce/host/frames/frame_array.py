@@ -63,11 +63,6 @@ def heartbeats_and_emcys(frames: FrameArray) -> Iterator[tuple[int, int, int, by
         yield row, int(function[row]), int(can_id[row] & codes.NODE_ID_MASK), data
 
 
-def raw_frame(message: can.Message) -> RawFrame:
-    """Return a python-can message as (t_ns, can_id, data)."""
-    return round(message.timestamp * 1e9), raw_can_id(message), bytes(message.data)
-
-
 class FrameBuffer:
     """Store every classic frame of a python-can Notifier until it is read; ``dropped``: the oldest beyond ``limit``."""
 
@@ -78,15 +73,11 @@ class FrameBuffer:
         self.dropped = 0
 
     def __call__(self, msg: can.Message) -> None:
-        """Store a message; called by the Notifier's thread."""
-        self.on_message_received(msg)
-
-    def on_message_received(self, msg: can.Message) -> None:
-        """Store a frame."""
+        """Store a frame; called by the Notifier's thread."""
         if msg.is_fd:
             return
         with self._arrived:
-            self._frames.append(raw_frame(msg))
+            self._frames.append((round(msg.timestamp * 1e9), raw_can_id(msg), bytes(msg.data)))
             if len(self._frames) > self.limit:
                 excess = len(self._frames) - self.limit // 2
                 del self._frames[:excess]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
@@ -49,30 +49,24 @@ class CandumpBlock:
         """Return the number of all frames, CAN FD included."""
         return len(self.frames) + len(self.fd)
 
-    def take(self, rows: npt.NDArray[np.bool_] | slice, fd_rows: npt.NDArray[np.bool_] | None = None) -> CandumpBlock:
-        """Return the block with only ``rows`` of its classic frames, and ``fd_rows`` (None: all) of its FD frames."""
-        if isinstance(rows, slice):
-            kept_rows = np.zeros(len(self.frames), dtype=np.bool_)
-            kept_rows[rows] = True
-            rows = kept_rows
-        if fd_rows is None:
-            fd_rows = np.ones(len(self.fd), dtype=np.bool_)
+    def take(self, rows: npt.NDArray[np.bool_], fd_rows: Iterable[bool]) -> CandumpBlock:
+        """Return the block with only ``rows`` of its classic frames, and ``fd_rows`` of its FD frames."""
         row_now = np.concatenate(([0], np.cumsum(rows))).tolist()
         fd = tuple(one._replace(row=row_now[one.row]) for one, kept in zip(self.fd, fd_rows, strict=True) if kept)
         return CandumpBlock(self.frames[rows], self.names, self.timed, fd)
 
     def between(self, start: int, end: int) -> CandumpBlock:
         """Return the block with its classic frames ``start`` to ``end``, and the FD frames among and behind them."""
-        last = end == len(self.frames)
-        fd_rows = np.array([start <= one.row < end or (last and one.row >= end) for one in self.fd], dtype=np.bool_)
-        return self.take(slice(start, end), fd_rows)
+        last, row = end == len(self.frames), np.arange(len(self.frames))
+        fd_rows = [start <= frame.row < end or (last and frame.row >= end) for frame in self.fd]
+        return self.take((start <= row) & (row < end), fd_rows)
 
     def head(self, count: int) -> CandumpBlock:
         """Return the block with only its first frames, FD frames included in the count."""
         if count >= len(self):
             return self
-        fd_rows = np.array([frame.row + number < count for number, frame in enumerate(self.fd)], dtype=np.bool_)
-        return self.take(slice(count - int(fd_rows.sum())), fd_rows)
+        fd_rows = [frame.row + number < count for number, frame in enumerate(self.fd)]
+        return self.take(np.arange(len(self.frames)) < count - sum(fd_rows), fd_rows)
 
     def in_order(self) -> Iterator[Frame]:
         """Yield all frames, CAN FD frames in their places."""

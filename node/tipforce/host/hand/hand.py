@@ -335,9 +335,9 @@ class Hand:
                 self._delivery.event(Event(time.monotonic(), node_id, "failed", "operational, but it answers no SYNC"))
                 trust.ask(node_id, self._recovery.needed_places(node_id))
                 self._queue.need([node_id])
-        due = trust.due(now_s, _HEALTH_SILENT_S)
+        due, asked = trust.due(now_s, _HEALTH_SILENT_S)
         self._queue.need([n for n in due if states[n] == OPERATIONAL or trust.changed(n)])  # starts what waits, too
-        self._queue.need(trust.take_asked(now_s), quiet=True)
+        self._queue.need(asked, quiet=True)
         # Search by LSS: a finger that lost its node-id at power-off sends no boot-up message.
         if now_s >= self._probe_s:
             self._probe_s = now_s + _LOST_PROBE_S

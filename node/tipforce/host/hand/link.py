@@ -1,18 +1,17 @@
-"""Access of a hand to its bus: a connection for SDO and NMT, a receiver for all frames, and a SYNC producer. On
-SocketCAN the receiver is a raw socket of its own, which also receives the kernel's SYNCs. Elsewhere one python-can bus
-does both, and own SYNCs, sent by a thread, are inserted among the received frames.
-"""
+"""Access of a hand to its bus: SDO and NMT, all frames, a SYNC producer. On SocketCAN a raw socket receives, also the
+kernel's SYNCs. Elsewhere python-can does both, and own SYNCs, sent by a thread, are inserted among the frames."""
 
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import accumulate, cycle, pairwise
+from itertools import cycle, pairwise
 from statistics import median
 from typing import Any
 
 import can
+import numpy as np
 
 from canopen_device.core.codes import FUNCTION_MASK, HEARTBEAT_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
 from tipforce.dictionary import objects
@@ -36,26 +35,35 @@ KEPT_FRAMES = 20_000  # in the connection's buffer: a hand runs for days, and on
 
 
 class Link:
-    """An open bus of python-can: a connection, its frames, and SYNCs; not ``owned``: it stays open."""
+    """An open bus: a connection, its frames, and SYNCs; not ``owned``: it stays open. On SocketCAN also a receiver of
+    all frames, and python-can's bus, by which the kernel sends the SYNCs."""
 
     owned = True
 
-    def __init__(self, connection: Bus, owned: bool = True) -> None:
-        self.connection, self.owned = connection, owned
+    def __init__(
+        self, connection: Bus, owned: bool = True, receiver: Receiver | None = None, bus: can.BusABC | None = None
+    ) -> None:
+        self.connection, self.owned, self._socketcan, self._bus = connection, owned, receiver, bus
         connection.buffer.limit = KEPT_FRAMES
         self._frames = FrameBuffer()
-        assert self.connection.network.notifier is not None  # a Bus is connected
-        self.connection.network.notifier.add_listener(self._frames)
+        if self._socketcan is None:
+            assert self.connection.network.notifier is not None  # a Bus is connected
+            self.connection.network.notifier.add_listener(self._frames)
 
     def receive(self, timeout_s: float) -> FrameArray:
         """Return the received frames, FRAME (n,), SYNCs included. Raises EnvironmentLackError if the bus fails."""
+        if self._socketcan is not None:
+            return self._socketcan.receive(timeout_s)
         notifier = self.connection.network.notifier
         if notifier is not None and notifier.exception is not None:
             raise EnvironmentLackError(f"the bus failed: {notifier.exception}")
         return self._frames.take_some(time.monotonic() + timeout_s)
 
     def start_sync(self, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
-        """Send SYNCs with ``data`` in turn from now on, until the returned function is called."""
+        """Send SYNCs with ``data`` in turn from now on, until the returned function is called. Raises
+        EnvironmentLackError."""
+        if self._bus is not None:
+            return kernel_sync(self._bus, period_s, data)
 
         def sync(number: bytes) -> None:
             # First into the stream, then onto the bus: no answer can precede its SYNC.
@@ -67,11 +75,13 @@ class Link:
     @property
     def dropped(self) -> int:
         """Frames lost because they were not read in time."""
-        return self._frames.dropped
+        return self._frames.dropped if self._socketcan is None else self._socketcan.dropped
 
     def close(self) -> None:
         """Close the bus, or stop listening to it."""
         notifier = self.connection.network.notifier
+        if self._socketcan is not None:
+            self._socketcan.close()
         if self.owned:
             self.connection.close()
         elif notifier is not None:
@@ -79,43 +89,19 @@ class Link:
                 notifier.remove_listener(self._frames)
 
 
-class SocketLink(Link):
-    """A SocketCAN interface."""
-
-    def __init__(self, options: Mapping[str, Any]) -> None:
-        self._receiver: Receiver = open_receiver(options)
-        try:
-            self._receiver.receive(0.0)  # an interface that is down can be opened; reading raises the error
-            self._bus = open_bus(**options)
-        except BaseException:
-            self._receiver.close()
-            raise
-        self._bus.set_filters(SERVICE_FILTERS)  # type: ignore[arg-type]
-        self.connection = Bus(self._bus)
-        self.connection.buffer.limit = KEPT_FRAMES
-
-    def receive(self, timeout_s: float) -> FrameArray:
-        """See Link."""
-        return self._receiver.receive(timeout_s)
-
-    def start_sync(self, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
-        """See Link; the kernel sends them (CAN_BCM). Raises EnvironmentLackError."""
-        return kernel_sync(self._bus, period_s, data)
-
-    @property
-    def dropped(self) -> int:
-        """See Link."""
-        return self._receiver.dropped
-
-    def close(self) -> None:
-        """See Link."""
-        self._receiver.close()
-        super().close()
-
-
 def open_link(options: Mapping[str, Any]) -> Link:
     """Open the bus that ``options`` (keywords of ``can.Bus``) name. Raises EnvironmentLackError."""
-    return SocketLink(options) if options.get("interface") == "socketcan" else Link(Bus(open_bus(**options)))
+    if options.get("interface") != "socketcan":
+        return Link(Bus(open_bus(**options)))
+    receiver = open_receiver(options)
+    try:
+        receiver.receive(0.0)  # an interface that is down can be opened; reading raises the error
+        bus = open_bus(**options)
+    except BaseException:
+        receiver.close()
+        raise
+    bus.set_filters(SERVICE_FILTERS)  # type: ignore[arg-type]
+    return Link(Bus(bus), receiver=receiver, bus=bus)
 
 
 def kernel_sync(bus: can.BusABC, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
@@ -236,10 +222,7 @@ class Jitter:
         """Return the results so far; percentiles to a microsecond, rounded up."""
         if not self._periods:
             return JitterFigures(0, *[float("nan")] * 4)
-        percentiles_us = []
-        for share in (0.50, 0.99):
-            least = share * self._periods  # before the histogram, which another thread may extend
-            place = next(place for place, count in enumerate(accumulate(self._histogram)) if count >= least)
-            percentiles_us.append(min((place + 1) * _BIN_NS, self._largest_ns) / 1e3)
-        p50, p99 = percentiles_us
+        least = (0.50 * self._periods, 0.99 * self._periods)  # before the histogram, which another thread may extend
+        ends_ns = (np.searchsorted(np.cumsum(self._histogram), least) + 1) * _BIN_NS
+        p50, p99 = (np.minimum(ends_ns, self._largest_ns) / 1e3).tolist()
         return JitterFigures(self._periods, self._sum_ns / self._periods / 1e3, p50, p99, self._largest_ns / 1e3)

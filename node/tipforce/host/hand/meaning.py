@@ -20,7 +20,7 @@ from tipforce.host.network.finger import Finger
 from tipforce.host.network.sdo import SdoChannel
 
 _NO_EFFECT = (communication.VERIFY_CONFIGURATION,)  # the date of a configuration: settings that nothing follows
-_TARE = {entry.key for entry in COMMANDED[1:]}
+TARE = {entry.key for entry in COMMANDED[1:]}
 _CALIBRATION = objects.CALIBRATION_ACTIVE_CRC.key
 _INTERRUPTS = range(indices.INTERRUPT_DELTA & 0xFFF, (indices.INTERRUPT_HYSTERESIS & 0xFFF) + 1)
 _TRIES = 5
@@ -109,11 +109,6 @@ def _value(entry: Entry[Value], number: int) -> Value:
     return entry.decode(number.to_bytes(types.data_type(entry.type).size or 0, "little"))
 
 
-def only_tare(changes: Changes) -> bool:
-    """Return whether nothing but the tare is another."""
-    return changes.keys() <= _TARE
-
-
 def needed(changes: Changes, wanted: Configuration) -> bool:
     """Return whether the communication of the finger is not that of the hand, which cannot use another."""
     communicated = {(index, sub) for index, sub in changes if index <= communication.LAST}
@@ -128,8 +123,8 @@ def write_back(finger: Finger, gauges: int, before: Meaning, changes: Changes, c
         if calibration is None or not _has(before, calibration):
             raise RefusedError(f"node {finger.node_id}: another calibration, and the hand file names none to restore")
         finger.apply_calibration(calibration, store=False)
-    if _TARE & changes.keys():
-        if any(before[place] for place in _TARE):
+    if TARE & changes.keys():
+        if any(before[place] for place in TARE):
             raise RefusedError(f"node {finger.node_id}: its tare before cannot be set again; tare it by the hand")
         finger.clear_tare()
     objects_changed = {_with_mapping(index) for index, _ in changes}

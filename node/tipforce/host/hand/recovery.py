@@ -32,11 +32,8 @@ _SIDE_BY_SIDE = 8
 
 
 class Recovery:
-    """Set fingers up as in the hand file.
-
-    ``connection`` returns the present one. ``overflow`` is the value of 1019h that the SYNC asks for; None: it is left
-    as it is. ``Trust`` knows what each finger sends, also while it boots, and shows values while that holds.
-    """
+    """Set fingers up as in the hand file. ``connection`` returns the present one. ``overflow`` is the value of 1019h
+    that the SYNC asks for; None: it is left as it is."""
 
     def __init__(
         self, file: HandFile, connection: Callable[[], Bus], supervisor: Supervisor, collector: Collector,
@@ -86,7 +83,7 @@ class Recovery:
             F1, F2, F3 = finger.tare_state().force_newtons
             if known:
                 present = self._read(node_id)
-                if meaning.only_tare(meaning.differences(known, present)):  # else another's is to be decided on
+                if meaning.differences(known, present).keys() <= meaning.TARE:  # else another's is to be decided on
                     known = present
         finally:
             if known:

@@ -123,11 +123,8 @@ _STEP_S = 0.2  # a wait without end could not be interrupted on Windows
 
 
 class HandRows(Iterator[T], AsyncIterator[T]):
-    """Rows for one consumer, from its creation on, as ``convert`` makes them of each block; see ``Hand.rows``.
-
-    The oldest are dropped beyond MAX_ROWS. They end with the delivery, or after ``timeout_s`` without rows (None:
-    never; not with ``async for``).
-    """
+    """Rows for one consumer, from its creation on, as ``convert`` makes them of each block; see ``Hand.rows``. The
+    oldest are dropped beyond MAX_ROWS."""
 
     def __init__(self, delivery: Delivery, timeout_s: float | None, convert: Callable[[Rows], Iterable[T]]) -> None:
         self._delivery, self._timeout_s, self._convert = delivery, timeout_s, convert

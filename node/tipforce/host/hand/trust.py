@@ -66,15 +66,9 @@ class Finger:
     shown_row: int = 0
 
 
-_Handler = Callable[[int, float], None]
-
-
 class Trust:
-    """The fingers ``node_ids``, whose answers have the identifiers ``answers`` (by identifier: place in node_ids).
-
-    ``ids`` are the identifiers that ``note`` wants. Every method takes ``lock``, except ``note``, whose caller has it.
-    ``shown[k]``: the values of finger k are shown.
-    """
+    """``answers``: place in ``node_ids`` by identifier. ``ids`` are the identifiers that ``note`` wants. Every method
+    takes ``lock``, except ``note``, whose caller has it. ``shown[k]``: the values of finger k are shown."""
 
     def __init__(self, node_ids: Sequence[int], answers: Mapping[int, int], health: Message, gauges: int) -> None:
         self.lock = threading.Lock()
@@ -87,7 +81,7 @@ class Trust:
         self._commanded = frozenset((COUNTER, *(entry.key for entry in commanded)))
         self._row, self._row_s, self._period_s, self._now_s = 0, -math.inf, 0.0, 0.0
         self._is_whole = False  # the last row has the answers of all, which the fingers do not have yet
-        self._fixed: dict[int, tuple[_Handler, range]] = {
+        self._fixed: dict[int, tuple[Callable[[int, float], None], range]] = {
             codes.NMT_COB_ID: (self._nmt, range(2, 9)),
             codes.LSS_REQUEST_COB_ID: (self._lss, _ANY),
         }
@@ -182,8 +176,9 @@ class Trust:
                 finger.announced = True
             return [finger.node_id for finger in changed]
 
-    def due(self, now_s: float, health_s: float) -> list[int]:
-        """Return the fingers to verify now: unsure ones, and those whose health PDO did not come for ``health_s``."""
+    def due(self, now_s: float, health_s: float) -> tuple[list[int], list[int]]:
+        """Return the fingers to verify now: unsure ones, and those whose health PDO did not come for ``health_s``; and
+        those of which objects are to be read while values are shown, each once."""
         with self.lock:
             self._now_s, due = now_s, []
             for finger in self._fingers.values():
@@ -195,15 +190,11 @@ class Trust:
                     finger.due_s = now_s + (DECIDE_S if finger.changed else _AGAIN_S)
                     finger.health_s = now_s
                     due.append(finger.node_id)
-            return due
-
-    def take_asked(self, now_s: float) -> list[int]:
-        """Return the fingers of which objects are to be read while values are shown; each once."""
-        with self.lock:
-            asked = [finger for finger in self._fingers.values() if finger.asked and now_s >= finger.asked_s]
+            others = (finger for finger in self._fingers.values() if finger.node_id not in due)
+            asked = [finger for finger in others if finger.asked and now_s >= finger.asked_s]
             for finger in asked:
                 finger.asked_s = math.inf
-            return [finger.node_id for finger in asked]
+            return due, [finger.node_id for finger in asked]
 
     def shows(self, node_id: int) -> bool:
         """Return whether the values of a finger are shown."""

@@ -8,7 +8,7 @@ import numpy as np
 from canopen_device.can_frame import raw_can_id
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.frames.frame_array import FRAME, SENT, FrameArray
+from tipforce.host.frames.frame_array import FRAME, PACK_FRAME, SENT
 from tipforce.host.frames.frame_block import BIT_RATE_SWITCH, ERROR_STATE, CandumpBlock, FdFrame
 from tipforce.host.live.receiver import Receiver, Selection, ShortSwitchInterval
 
@@ -54,29 +54,19 @@ class PythonCanReceiver(Receiver):
 def message_block(messages: Iterable[can.Message], names: dict[str, int], channel: str = "") -> CandumpBlock:
     """Return python-can messages as a block; ``names`` gets new interfaces, from ``channel`` or from each message."""
 
-    def interface(message: can.Message) -> int:
-        name = channel or str("can" if message.channel is None else message.channel)
-        return names.setdefault(name, len(names))
-
-    classic: list[can.Message] = []
-    fd: list[FdFrame] = []
+    frames, fd = bytearray(), list[FdFrame]()
     for message in messages:
+        name = channel or str("can" if message.channel is None else message.channel)
+        number = names.setdefault(name, len(names))
+        t_ns, can_id, sent = round(message.timestamp * 1e9), raw_can_id(message), not message.is_rx
         if message.is_fd:
             flags = message.bitrate_switch * BIT_RATE_SWITCH + message.error_state_indicator * ERROR_STATE
-            t_ns, data = round(message.timestamp * 1e9), bytes(message.data)
-            can_id, sent = raw_can_id(message), not message.is_rx
-            fd.append(FdFrame(len(classic), t_ns, can_id, flags, data, interface(message), sent))
+            row = len(frames) // FRAME.itemsize
+            fd.append(FdFrame(row, t_ns, can_id, flags, bytes(message.data), number, sent))
         else:
-            classic.append(message)
-    frames: FrameArray = np.zeros(len(classic), dtype=FRAME)
-    frames["t_ns"] = [round(message.timestamp * 1e9) for message in classic]
-    frames["can_id"] = [raw_can_id(message) for message in classic]
-    frames["length"] = [min(message.dlc, 8) for message in classic]
-    frames["channel"] = [interface(message) for message in classic]
-    frames["flags"] = [0 if message.is_rx else SENT for message in classic]
-    data = b"".join(bytes(message.data)[:8].ljust(8, b"\0") for message in classic)
-    frames["data"] = np.frombuffer(data, dtype=np.uint8).reshape(-1, 8)
-    return CandumpBlock(frames, tuple(names), fd=tuple(fd))
+            data = bytes(message.data[:8])
+            frames += PACK_FRAME(t_ns, can_id, min(message.dlc, 8), number, SENT if sent else 0, data)
+    return CandumpBlock(np.frombuffer(frames, dtype=FRAME), tuple(names), fd=tuple(fd))
 
 
 def message(

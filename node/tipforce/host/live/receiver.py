@@ -33,29 +33,26 @@ class ShortSwitchInterval:
     """Sets ``sys.setswitchinterval`` to at most SWITCH_INTERVAL_S until all of these are closed."""
 
     _lock: ClassVar = threading.Lock()
-    _open: ClassVar[int] = 0
+    _open: ClassVar[set["ShortSwitchInterval"]] = set()
     _before_s: ClassVar[float] = 0.0
     _set_s: ClassVar[float] = 0.0
 
     def __init__(self) -> None:
-        self._closed = False
         kind = ShortSwitchInterval
         with kind._lock:
             if not kind._open:
                 kind._before_s = sys.getswitchinterval()
                 sys.setswitchinterval(min(kind._before_s, SWITCH_INTERVAL_S))
                 kind._set_s = sys.getswitchinterval()
-            kind._open += 1
+            kind._open.add(self)
 
     def close(self) -> None:
         """Restore the interval, if this is the last one and the program did not set another."""
         kind = ShortSwitchInterval
         with kind._lock:
-            if self._closed:
-                return
-            self._closed = True
-            kind._open -= 1
-            if not kind._open and sys.getswitchinterval() == kind._set_s:
+            is_last = kind._open == {self}
+            kind._open.discard(self)
+            if is_last and sys.getswitchinterval() == kind._set_s:
                 sys.setswitchinterval(kind._before_s)
 
 

@@ -9,9 +9,10 @@ from typing import Any, Self
 
 from canopen_device.can_frame import CAN_FRAME
 from tipforce.errors import EnvironmentLackError
+from tipforce.host.live.receive import open_socket
+from tipforce.host.live.receiver import Filter, Selection
 
 _FD_FRAME = struct.Struct("=IBB2x64s")  # struct canfd_frame
-_SOL_CAN_RAW, _CAN_RAW_FILTER, _CAN_RAW_FD_FRAMES = 101, 1, 5  # linux/can/raw.h
 _FULL_QUEUE_WAIT_S = 0.001
 _GIVE_UP_S = 5.0
 
@@ -26,17 +27,7 @@ class SocketCanSender:
     def __init__(self, channel: str) -> None:
         """Open the socket. Raises EnvironmentLackError if the interface does not exist."""
         self._channel = channel
-        try:
-            self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-        except OSError as error:
-            raise self._failed(error) from error
-        try:
-            self._socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FILTER, b"")
-            self._socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FD_FRAMES, 1)
-            self._socket.bind((channel,))
-        except OSError as error:
-            self._socket.close()
-            raise self._failed(error) from error
+        self._socket = open_socket(channel, Selection((Filter(0, 0, inverse=True),)))  # it receives nothing
 
     def __enter__(self) -> Self:
         return self
@@ -67,8 +58,8 @@ class SocketCanSender:
         hint = "`ip -details link` shows its state"
         if error.errno == errno.ENOBUFS:
             hint = "the transmit queue stays full: check that another node on the bus acknowledges frames"
-        elif error.errno in {errno.ENODEV, errno.EAFNOSUPPORT}:
-            hint = "`ip -br link` lists interfaces; for a kernel that has vcan: `tipforce vcan -- ...`"
+        elif error.errno == errno.ENODEV:
+            hint = "`ip -br link` lists interfaces"
         return EnvironmentLackError(f"interface socketcan, channel {self._channel}: {error.strerror}; {hint}")
 
 

@@ -1,8 +1,5 @@
-"""Parse candump text: its log format (-L, -l) and its screen format with any -t, -x, -a, -c, -e (can-utils).
-
-The inverse is ``candump_format``. CAN FD frames are kept separate from classic ones. Lines that are not frames are
-counted, not raised: drop messages and, by reason, bad lines.
-"""
+"""Parse candump text: its log format (-L, -l) and its screen format with any -t, -x, -a, -c, -e (can-utils). Lines that
+are not frames are counted: drop messages and, by reason, bad lines. The inverse is ``candump_format``."""
 
 import re
 import time

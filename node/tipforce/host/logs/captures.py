@@ -13,9 +13,8 @@ from typing import Any, NamedTuple, TypeAlias
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.errors import EnvironmentLackError, InputError, LogError
 from tipforce.host.frames.frame_array import PACK_FRAME, FrameArray
-from tipforce.host.logs.lines import open_file, row_blocks
+from tipforce.host.logs.lines import MOST_CHUNK_BYTES, Expansion, open_file, row_blocks, unpacked_chunk
 from tipforce.host.logs.notes import FD, LogNotes
-from tipforce.host.logs.unpacking import MOST_CHUNK_BYTES, Expansion, unpacked_chunk
 
 SOCKETCAN, COOKED, COOKED_2 = 227, 113, 276
 _CAN, _CAN_FD = 0x000C, 0x000D

@@ -15,9 +15,8 @@ import can
 from canopen_device.can_frame import raw_can_id
 from tipforce.errors import EnvironmentLackError, LogError, TipforceError
 from tipforce.host.frames.frame_array import PACK_FRAME, SENT, FrameArray
-from tipforce.host.logs.lines import open_file, row_blocks
+from tipforce.host.logs.lines import BoundedLines, Expansion, decompressed, open_file, row_blocks, unpacked_chunk
 from tipforce.host.logs.notes import FD, UNREADABLE, LogNotes, suffix_of
-from tipforce.host.logs.unpacking import BoundedLines, Expansion, decompressed, unpacked_chunk
 
 _OBJECT = struct.Struct("<4sHHII")  # of BLF: signature, length of the header, version, length, type
 _CONTAINER, _CONTAINER_HEAD = 10, 16

@@ -49,10 +49,9 @@ class BadLine:
 class LogNotes:
     """Notes on a log: its ``channels`` by number, and counts of all that is no data frame.
 
-    ``bad`` counts unusable lines or records by reason, ``first_bad`` has the first and the expected text,
-    ``first_bad_line`` and ``lines`` numbers of text. ``skipped`` counts CAN FD frames (left out), error and remote
-    frames (delivered), frames that candump dropped. ``timed`` is False after a frame without timestamp; its ``t_ns`` is
-    0.
+    ``bad`` counts unusable lines or records by reason, ``first_bad`` has the first and the expected text. ``skipped``
+    counts CAN FD frames (left out), error and remote frames (delivered), frames that candump dropped. ``timed`` is
+    False after a frame without timestamp; its ``t_ns`` is 0. ``first_bad_line`` and ``lines``: of text.
     """
 
     strict: bool = False

@@ -11,9 +11,8 @@ from tipforce.core import core
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.candump import CandumpParser
-from tipforce.host.logs.lines import LineBlocks, never, open_file
+from tipforce.host.logs.lines import LineBlocks, first_bytes, open_file
 from tipforce.host.logs.notes import MESSAGE_SUFFIXES, LogNotes, suffix_of
-from tipforce.host.logs.unpacking import first_bytes
 
 STDIN = "-"
 _BLOCK_FRAMES = 40_000  # decoding a block costs about as much per node as a thousand frames
@@ -36,19 +35,17 @@ class LogReader(LogNotes):
         start_ns: int | None = None,
         end_ns: int | None = None,
         part: tuple[int, int | None] = (0, None),
-        stop: Callable[[], bool] = never,
+        stop: Callable[[], bool] | None = None,
     ) -> None:
         """Open a log by its name and its first bytes; "-" is candump text on stdin.
 
         ``strict`` raises at the first bad line, after the frames before it. ``follow`` waits at the end of a text for
         more; ``stop`` ends that, and stdin, by returning True. ``deltas``: the timestamps are those of candump -td.
         ``start_ns`` excludes earlier frames, ``end_ns`` frames at that time or later. ``part``: the bytes of a plain
-        text to read, split by ``line_borders``; its lines are numbered from 1. ``first_bad_line`` and the number of
-        ``lines`` apply to text logs.
+        text to read, split by ``line_borders``; its lines are numbered from 1.
 
-        Raises InputError for a file that can't be opened or read, EnvironmentLackError for one that needs a library
-        that is not installed; while iterating, InputError for a bad line (strict), and for a time selection without
-        timestamps.
+        Raises InputError for a file that can't be opened, EnvironmentLackError for a missing library; while iterating,
+        InputError for a bad line (strict), and for a time selection without timestamps.
         """
         super().__init__(strict, str(source), goes_on=part[0] > 0)
         path = None if str(source) == STDIN else Path(source)

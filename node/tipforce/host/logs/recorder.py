@@ -7,7 +7,7 @@ import os
 import time
 from io import BufferedIOBase
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, Self
 
 from tipforce.errors import EnvironmentLackError, InputError, WriteError
 from tipforce.host.logs.notes import suffix_of
@@ -55,7 +55,7 @@ class Recorder:
             raise self._failure(error) from error
         self.frames += len(block)
 
-    def _open(self) -> LogWriter:
+    def _open(self) -> CandumpWriter | PythonCanWriter:
         path = self._path
         if self._limit_bytes is not None or self._limit_s is not None:
             stem, dot, suffixes = path.name.partition(".")
@@ -95,7 +95,7 @@ _ZIP_FLUSH_S = 1.0  # each flush costs compression
 _DRAIN_S = 60.0
 
 
-def open_writer(path: Path) -> LogWriter:
+def open_writer(path: Path) -> CandumpWriter | PythonCanWriter:
     """Return a writer of the format of the suffix. Raises InputError for another suffix."""
     return CandumpWriter(path) if format_suffix(path) == _CANDUMP else PythonCanWriter(path)
 
@@ -165,19 +165,10 @@ class PythonCanWriter:
 
     def close(self) -> None:
         """Write pending frames and close the file. Raises OSError."""
-        self._drain()
-        self._writer.stop()
-
-    def _drain(self) -> None:
-        """Wait until python-can's SQLite writer has written all messages: its stop() discards the rest."""
-        waiting = getattr(self._writer, "buffer", None)
-        if waiting is None or not hasattr(waiting, "empty"):
-            return
+        waiting: Any = getattr(self._writer, "buffer", None)  # SQLite: its stop() discards what is not written
         end = time.monotonic() + _DRAIN_S
-        while not waiting.empty() and time.monotonic() < end:
+        while hasattr(waiting, "empty") and not waiting.empty():
+            if time.monotonic() > end:
+                raise OSError(f"the database needs more than {_DRAIN_S:g} s; {waiting.qsize()} frames are not written")
             time.sleep(0.01)
-        if not waiting.empty():
-            raise OSError(f"the database needs more than {_DRAIN_S:g} s; {waiting.qsize()} frames are not written")
-
-
-LogWriter: TypeAlias = CandumpWriter | PythonCanWriter
+        self._writer.stop()
