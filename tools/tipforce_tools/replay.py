@@ -1,4 +1,6 @@
-"""`tipforce replay LOG [vcan1=vcan0 ...]`: send the frames of a log to buses, with the recorded timing."""
+"""Send the frames of a log with their recorded timing. LOG is candump text (plain, gzip or zstd; - reads stdin) or any
+format that python-can reads. Remote, CAN FD and error frames are sent if the bus supports them; frames left out are
+counted on stderr."""
 
 from __future__ import annotations
 
@@ -26,27 +28,19 @@ if TYPE_CHECKING:
     from tipforce.host.logs.candump import CandumpParser
     from tipforce.host.logs.notes import LogNotes
 
-DESCRIPTION = """\
-Send the frames of a log with their recorded timing. LOG is candump text (plain, gzip or zstd; - reads stdin) or any
-format that python-can reads. Remote, CAN FD and error frames are sent if the bus supports them; frames left out are
-counted on stderr.
-"""
-EPILOG = """\
-WRITE=LOG sends to WRITE the frames recorded from LOG, as canplayer does; frames of other interfaces are left out.
-Without assignments frames go to the interface named in the log, or with -c all to that one. The command asks before
-it sends on a bus that is not virtual.
-  tipforce replay run.log                           to the interfaces of the log
-  tipforce replay run.log.gz vcan1=vcan0 --speed 10
-  tipforce replay --loop inf --max-gap 0.5 run.log vcan0=can0 vcan1=can1
-"""
-
 _speed = common.number_that(lambda speed: speed > 0, "are numbers over 0, and inf")
 _gap = common.number_that(lambda gap_s: 0 <= gap_s < math.inf, "are 0 or more seconds")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce replay` and python-can's bus flags to `parser`."""
-    parser.description, parser.epilog = DESCRIPTION, EPILOG
+    """WRITE=LOG sends to WRITE the frames recorded from LOG, as canplayer does; frames of other interfaces are left
+    out. Without assignments frames go to the interface named in the log, or with -c all to that one. The command asks
+    before it sends on a bus that is not virtual.
+      tipforce replay run.log                           to the interfaces of the log
+      tipforce replay run.log.gz vcan1=vcan0 --speed 10
+      tipforce replay --loop inf --max-gap 0.5 run.log vcan0=can0 vcan1=can1
+    """
+    parser.description = __doc__
     what = "a log file, or - for candump text on stdin"
     parser.add_argument("log", type=common.InputFile(), metavar="LOG", help=what)
     parser.add_argument("assignments", nargs="*", type=_assignment, metavar="WRITE=LOG", help="interfaces")

@@ -1,4 +1,5 @@
-"""`tipforce ros2 [HAND.toml|LOG]`: publish forces, contacts and diagnostics as ROS 2 topics, without ROS."""
+"""Publish each fingertip's force and contact at each SYNC, and diagnostics once a second and at each event, as ROS 2
+topics on DDS. ROS need not be installed. Stamps are those of the SYNC."""
 
 from __future__ import annotations
 
@@ -17,11 +18,6 @@ from tipforce_tools.cli.listening import add_sync_argument, check_sync, commissi
 if TYPE_CHECKING:
     from tipforce.watching.feeds import Feed
 
-DESCRIPTION = """\
-Publish each fingertip's force and contact at each SYNC, and diagnostics once a second and at each event, as ROS 2
-topics on DDS. ROS need not be installed. Stamps are those of the SYNC.
-"""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """topics, for a finger named thumb:
@@ -33,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     A hand is commissioned, on a bus the command listens only, and a log is published with its recorded timing.
     ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY and CYCLONEDDS_URI apply.
     """
-    parser.description = DESCRIPTION
+    parser.description = __doc__
     what = "a hand file, or a log (default: listen to the bus)"
     parser.add_argument("source", nargs="?", type=common.InputFile(), metavar="HAND.toml|LOG", help=what)
     parser.add_argument("--namespace", default="/tipforce", metavar="NS", help="of the topics (default %(default)s)")

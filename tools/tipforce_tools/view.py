@@ -18,15 +18,14 @@ _MOST_SECONDS = 1e9
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce view`."""
+    """
+      tipforce view hand.toml                   commission the hand, and show it
+      tipforce view -i socketcan -c can0        listen only: show all fingers on the bus
+      tipforce view grasp                       run a scene, and show its log
+    The page is read-only and reachable from this machine only, unless --allow-writes and --host are given.
+    """
     from tipforce_tools.cli.listening import add_sync_argument
 
-    parser.epilog = (
-        "  tipforce view hand.toml                   commission the hand, and show it\n"
-        "  tipforce view -i socketcan -c can0        listen only: show all fingers on the bus\n"
-        "  tipforce view grasp                       run a scene, and show its log\n"
-        "The page is read-only and reachable from this machine only, unless --allow-writes and --host are given."
-    )
     parser.add_argument(
         "source",
         nargs="?",

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 
 
 def add_show_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `tipforce dataset show`, and of verify and compact."""
-    parser.epilog = "DIR: a directory, or a URL that fsspec opens. Exit code 1: a file is missing or damaged.\n"
+    """DIR: a directory, or a URL that fsspec opens. Exit code 1: a file is missing or damaged."""
     parser.add_argument("directory", metavar="DIR", help="of `tipforce decode -o DIR/`")
     common.add_output_arguments(parser)
 

@@ -36,13 +36,12 @@ _PLAIN = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `tipforce dataset sql`."""
-    parser.epilog = (
-        "DIR: a directory, or a URL that fsspec opens. Views: samples (hand, date, node and all columns of the rows),\n"
-        "events (t_s, channel, node, event, code, text), parts and logs of the manifest. Only files that a\n"
-        "query needs are read. A query is one SELECT: without --unrestricted it opens no other file, and has 2 GiB.\n\n"
-        "  tipforce dataset sql data/ \"select node, max(P_N) from samples where date = '2026-05-17' group by node\""
-    )
+    """DIR: a directory, or a URL that fsspec opens. Views: samples (hand, date, node and all columns of the rows),
+    events (t_s, channel, node, event, code, text), parts and logs of the manifest. Only files that a
+    query needs are read. A query is one SELECT: without --unrestricted it opens no other file, and has 2 GiB.
+
+      tipforce dataset sql data/ "select node, max(P_N) from samples where date = '2026-05-17' group by node"
+    """
     parser.add_argument("directory", metavar="DIR", help="of `tipforce decode -o DIR/`")
     parser.add_argument("sql", metavar="QUERY")
     parser.add_argument(
