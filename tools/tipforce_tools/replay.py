@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     with StopSignals() as stop, ExitStack() as opened:
         buses, start_s = Buses(args, opened), time.monotonic()
         try:
-            for due_s, name, frame in _frames(args, parser):
+            for due_s, name, frame in timed_frames(args, parser):
                 while (rest_s := start_s + due_s - time.monotonic()) > 0 and not stop.stopped:
                     time.sleep(min(rest_s, _SLICE_S))
                 if stop.stopped:
@@ -99,21 +99,23 @@ def run(args: argparse.Namespace) -> int:
     return INTERRUPTED if stop.stopped else 0
 
 
-def _frames(args: argparse.Namespace, parser: CandumpParser) -> Iterator[tuple[float, str, Frame]]:
-    """Yield all frames in order, --loop times: seconds after the start, interface, frame. Raises InputError."""
-    clock, path = Clock(args.speed, args.max_gap), Path(args.log)
+def timed_frames(args: argparse.Namespace, parser: CandumpParser) -> Iterator[tuple[float, str, Frame]]:
+    """Yield all frames in order, --loop times: seconds after the start, interface, frame. The steps of time are those
+    of the log, none backwards and none longer than --max-gap, divided by --speed. Raises InputError."""
+    path, due_s = Path(args.log), 0.0
+    longest_ns = math.inf if args.max_gap is None else round(args.max_gap * 1e9)
     suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() not in {".gz", ".zst"}]
     is_text = not suffixes or suffixes[-1] in _TEXT_SUFFIXES
     for _ in islice(count(), args.loop):
-        clock.begin_again()
-        empty = True
+        last_ns = None  # the first frame of a pass is due with the last of the one before
         for block in _text_blocks(args.log, parser) if is_text else _message_blocks(path):
             if not block.timed:
                 raise InputError(f"{args.log} has no timestamps: record it with candump -L or `tipforce log`")
-            empty = empty and not len(block)
             for frame in block.in_order():
-                yield clock.due_s(frame[0]), block.names[frame[4]], frame
-        if empty:
+                step_ns = 0 if last_ns is None else max(frame[0] - last_ns, 0)
+                due_s, last_ns = due_s + min(step_ns, longest_ns) * 1e-9 / args.speed, frame[0]
+                yield due_s, block.names[frame[4]], frame
+        if last_ns is None:
             return
 
 
@@ -172,29 +174,6 @@ def _message_blocks(path: Path) -> Iterator[CandumpBlock]:
 
 _SLICE_S = 0.2  # maximum delay of a signal
 _VIRTUAL = ("virtual", "udp_multicast")
-
-
-class Clock:
-    """Due times of frames: the steps of the log, none backwards and none longer than a given gap, scaled by a speed."""
-
-    def __init__(self, speed: float, max_gap_s: float | None) -> None:
-        self._per_ns = 0.0 if speed == math.inf else 1e-9 / speed
-        self._longest_ns = None if max_gap_s is None else round(max_gap_s * 1e9)
-        self._last_ns: int | None = None
-        self._due_s = 0.0
-
-    def due_s(self, t_ns: int) -> float:
-        """Return the due time of the next frame of the log, in seconds after the start."""
-        step_ns = 0 if self._last_ns is None else max(t_ns - self._last_ns, 0)
-        if self._longest_ns is not None:
-            step_ns = min(step_ns, self._longest_ns)
-        self._last_ns = t_ns
-        self._due_s += step_ns * self._per_ns
-        return self._due_s
-
-    def begin_again(self) -> None:
-        """Restart the log: its first frame is due with its last."""
-        self._last_ns = None
 
 
 class Buses:

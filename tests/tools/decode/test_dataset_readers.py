@@ -21,8 +21,8 @@ from bench.scale import month
 from tipforce.host.dataset.reader import opened, tables
 from tipforce.host.decoding.log_part import Reading
 from tipforce.host.decoding.pdo_layout import Layouts
+from tipforce_tools import dataset as dataset_command
 from tipforce_tools.cli.main import main
-from tipforce_tools.dataset import sql
 from tools.decode.datasets import globbed, rows_of_dataset, rows_of_logs
 from tools.decode.logs import decode, log_lines, write_log
 
@@ -214,7 +214,7 @@ def test_what_is_not_of_the_dataset_is_refused(
 ) -> None:
     (dataset / "home").mkdir(exist_ok=True)
     monkeypatch.chdir(dataset)
-    monkeypatch.setattr(sql, "MEMORY_MIB", 200)
+    monkeypatch.setattr(dataset_command, "MEMORY_MIB", 200)
     monkeypatch.setenv("HOME", str(dataset / "home"))
     before, limit = contents(dataset), resource.getrlimit(resource.RLIMIT_AS)
     for name, path in (

@@ -26,7 +26,7 @@ _DATASET = {
     "show": ("dataset:show", "print what a dataset holds"),
     "verify": ("dataset:verify", "compare the SHA-256 of each file"),
     "compact": ("dataset:compact", "join the files of a day; all get the same columns"),
-    "sql": ("dataset.sql", "query a dataset with DuckDB"),
+    "sql": ("dataset:sql", "query a dataset with DuckDB"),
 }
 _DESIGN = {
     "table": ("design.tables:table", "recompute the paper's tables and figures, beside the printed values"),
