@@ -18,10 +18,10 @@ from canopen_device.running.ports import PythonCanPort
 from canopen_device.running.store import MemoryStore
 from tipforce.arrays import FloatArray
 from tipforce.dictionary import objects as od
-from tipforce.dictionary.signals import Message, tpdo_messages
 from tipforce.errors import RefusedError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.network.bus import Bus
 from tipforce.scene.delivered import structure_calibration
 from tipforce.sensor.contact import estimate as contact_model
@@ -166,25 +166,17 @@ def _one_load(connection: Bus, calibrations: dict[int, Calibration], applied: Fl
     time.sleep(0.002)  # a conversion under the new load
     connection.buffer.clear()
     connection.sync()
-    gauges, contact = (next(pdo for pdo in tpdo_messages() if pdo.name == name) for name in ("Gauges", "Contact"))
-    frames = connection.wait_for({pdo.cob_id_base + node_id for pdo in (gauges, contact) for node_id in calibrations})
-    data = {int(frame["can_id"]): bytes(frame["data"]) for frame in frames}
+    frames = connection.wait_for({base + node_id for base in codes.TPDO_BASES[:2] for node_id in calibrations})
+    decoded = Decoder(node_ids=calibrations).decode(frames)
     for node_id, calibration in calibrations.items():
-        strain = 1e-6 * _quantities(gauges, data[gauges.cob_id_base + node_id])
-        estimated = _quantities(contact, data[contact.cob_id_base + node_id])
+        gauges, contact = (decoded[node_id, name].columns for name in ("Gauges", "Contact"))
+        strain = 1e-6 * np.array([gauges[name][-1] for name in ("SG1", "SG2", "SG3")])
+        estimated = np.array([contact[name][-1] for name in ("P", "phi", "theta")])
         _, own = contact_model.estimate(calibration.C, strain, calibration.offset_strain, pull=calibration.pull)
         host = np.array([own.P_newtons, np.degrees(own.phi_rad), np.degrees(own.theta_rad)], dtype=np.float64)
         u, bound, host_bound = bounds(calibration, applied, z)
         sense = "pull" if calibration.pull else "push"
         yield Result(CASES[node_id - 1], sense, applied, estimated, host.ravel(), u, bound, host_bound)
-
-
-def _quantities(pdo: Message, data: bytes) -> FloatArray:
-    values = []
-    for signal in pdo.signals[:3]:
-        raw = int.from_bytes(data[signal.start_bit // 8 :][: signal.bits // 8], "little", signed=signal.signed)
-        values.append(np.nan if raw == signal.unknown else raw * signal.scale)
-    return np.array(values)
 
 
 def _difference(a: FloatArray, b: FloatArray) -> FloatArray:
