@@ -226,10 +226,6 @@ class StopSignals:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def __call__(self) -> bool:
-        """Return whether a signal has arrived."""
-        return self.stopped
-
     def _stop(self, number: int, _frame: object) -> None:
         if self.stopped and number in self._interrupts:
             raise KeyboardInterrupt

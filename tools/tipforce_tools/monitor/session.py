@@ -57,7 +57,7 @@ def monitor(args: Namespace) -> int:
             live = opened.enter_context(Live(console=common.console(), auto_refresh=False, transient=False))
             show = partial(_refresh, live, bitrate, interval_s, hints)
         each = show if screen or (common.OUTPUT.json and args.once is None) else None
-        shown = run(watched, source, stop, interval_s, each, args.once or math.inf)
+        shown = run(watched, source, lambda: stop.stopped, interval_s, each, args.once or math.inf)
         if log is not None and source.ended:
             if not watched.frames:
                 raise no_frame(str(log_name), log.first_bad)
