@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from tipforce.host.logs.candump import CandumpParser
     from tipforce.host.logs.notes import LogNotes
 
-_speed = common.number_that(lambda speed: speed > 0, "are numbers over 0, and inf")
 _gap = common.number_that(lambda gap_s: 0 <= gap_s < math.inf, "are 0 or more seconds")
 
 
@@ -44,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = "a log file, or - for candump text on stdin"
     parser.add_argument("log", type=common.InputFile(), metavar="LOG", help=what)
     parser.add_argument("assignments", nargs="*", type=_assignment, metavar="WRITE=LOG", help="interfaces")
-    parser.add_argument("--speed", type=_speed, default=1.0, metavar="X", help="times recorded speed (inf: no waiting)")
+    common.add_number(parser, "--speed", 1.0, "X", "times recorded speed (inf: no waiting)", common.speed)
     parser.add_argument("--loop", type=_loop, default=1, metavar="N", help="number of passes, or inf (default: 1)")
     parser.add_argument("--max-gap", type=_gap, metavar="S", help="shorten gaps of the log that are longer than S")
     parser.add_argument("--strict", action="store_true", help="end at the first bad line of candump text")

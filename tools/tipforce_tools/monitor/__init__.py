@@ -10,7 +10,6 @@ from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.listening import add_sync_argument
 
 _seconds = common.number_that(lambda time_s: 0.01 <= time_s < 1e6, "are 0.01 to 1000000 s")
-_speed = common.number_that(lambda speed: speed > 0, "is more than 0, or inf")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--gauges", type=int, choices=range(3, 9), default=3, metavar="N", help="3 (default) to 8")
     parser.add_argument("--interval", type=_seconds, metavar="S", help="between tables (0.25 s) or JSON lines (1 s)")
     parser.add_argument("--once", type=_seconds, metavar="S", help="print one table after S seconds, and end")
-    parser.add_argument("--speed", type=_speed, default=math.inf, metavar="X", help="log: times recorded speed (inf)")
+    common.add_number(parser, "--speed", math.inf, "X", "log: times recorded speed (inf)", common.speed)
     parser.add_argument("--follow", action="store_true", help="log: wait for more lines at the end")
     add_sync_argument(parser)
     common.add_eds_argument(parser)

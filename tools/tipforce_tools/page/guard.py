@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from http import HTTPStatus
 
 from tipforce.errors import InputError
+from tipforce_tools.cli import common
 
 Refusal = tuple[HTTPStatus, str]
 """The response to a refused request: status and text."""
@@ -107,8 +108,9 @@ def host_names(host: str) -> tuple[str, ...]:
 def add_page_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     """Add the flags of the page's server; return their group."""
     group = parser.add_argument_group("page")
-    port, host = "default %(default)s; 0: any free port", "address to serve on, default loopback; others need --token"
-    group.add_argument("--port", type=int, default=DEFAULT_PORT, metavar="N", help=port)
+    text, host = "default %(default)s; 0: any free port", "address to serve on, default loopback; others need --token"
+    port = common.number_that(lambda value: 0 <= value <= 65535, "are 0 (any free port) to 65535", int)
+    group.add_argument("--port", type=port, default=DEFAULT_PORT, metavar="N", help=text)
     group.add_argument("--host", default="", metavar="ADDRESS", help=host)
     group.add_argument("--token", metavar="TOKEN|auto", help="required to open the page; auto generates one")
     group.add_argument("--open", action="store_true", help="open the page in the browser")
@@ -117,7 +119,5 @@ def add_page_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGro
 
 def page_guard(args: argparse.Namespace) -> Guard:
     """Return the access rules of the page, before anything is opened. Raises InputError."""
-    if not 0 <= args.port <= 65535:
-        raise InputError(f"--port {args.port}: allowed are 0 (any free port) to 65535")
     host, may_write = args.host or "127.0.0.1", getattr(args, "allow_writes", False)
     return Guard(access_token=access_token(host, args.token), hosts=host_names(host), allow_writes=may_write)
