@@ -192,10 +192,10 @@ def test_memory_that_may_not_be_locked(monkeypatch: pytest.MonkeyPatch, printed:
 
 def test_a_second_ctrl_c_interrupts_and_a_second_sigterm_does_not() -> None:
     with StopSignals((signal.SIGINT,)) as stop:
-        assert not stop.stopped
+        assert not stop()
         os.kill(os.getpid(), signal.SIGTERM)
         os.kill(os.getpid(), signal.SIGTERM)
-        assert stop.stopped
+        assert stop()
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
 

@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
             if common.OUTPUT.json:
                 record = {"frames": recorder.frames, "dropped": dropped, "seconds": round(seconds, 3), "files": paths}
                 common.print_json(record)
-    return INTERRUPTED if stop.stopped else 0
+    return INTERRUPTED if stop() else 0
 
 
 def _bytes(text: str) -> int:
@@ -93,7 +93,7 @@ def _record(args: argparse.Namespace, receiver: ReceiverGroup, recorder: Recorde
     limit_s = math.inf if args.timeout_ms is None else args.timeout_ms / 1000
     last_s = time.monotonic()
     end_s = math.inf if args.seconds is None else last_s + args.seconds
-    while not stop.stopped and (now_s := time.monotonic()) < end_s:
+    while not stop() and (now_s := time.monotonic()) < end_s:
         try:
             block = receiver.receive_block(min(_SLICE_S, limit_s, end_s - now_s))
         except InterfaceDownError as error:

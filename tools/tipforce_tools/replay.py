@@ -78,13 +78,13 @@ def run(args: argparse.Namespace) -> int:
         buses, start_s = Buses(args, opened), time.monotonic()
         try:
             for due_s, name, frame in timed_frames(args, parser):
-                while (rest_s := start_s + due_s - time.monotonic()) > 0 and not stop.stopped:
+                while (rest_s := start_s + due_s - time.monotonic()) > 0 and not stop():
                     time.sleep(min(rest_s, _SLICE_S))
-                if stop.stopped:
+                if stop():
                     break
                 late_s = max(late_s, -rest_s)
                 buses.send(name, frame)
-            if not (stop.stopped or buses.sent or buses.left_out):
+            if not (stop() or buses.sent or buses.left_out):
                 raise no_frame(args.log, parser.notes.first_bad, (TEXT, PACKED, MESSAGES))
         except BadLineError as error:
             print(f"tipforce replay: {error}", file=sys.stderr)
@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
         finally:
             if started:
                 _report(buses, parser.notes, time.monotonic() - start_s, late_s)
-    return INTERRUPTED if stop.stopped else 0
+    return INTERRUPTED if stop() else 0
 
 
 def timed_frames(args: argparse.Namespace, parser: CandumpParser) -> Iterator[tuple[float, str, Frame]]:

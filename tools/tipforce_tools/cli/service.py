@@ -118,7 +118,7 @@ def serve(who: str, what: str, devices: Sequence[Runnable], nodes: Sequence[Devi
 
     def ended() -> bool:
         notifier.alive()
-        return stop.stopped
+        return stop()
 
     with StopSignals((signal.SIGINT,)) as stop:
         try:
