@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 from canopen_device import types
 from tipforce.dictionary import table, table_objects
 from tipforce.dictionary.entries import Entry, objects
-from tipforce.dictionary.table import Converter
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.actions import add_choice
 
 if TYPE_CHECKING:
     from tipforce.dictionary.eds import Values
+    from tipforce.dictionary.table import Converter
 
 FORMATS = {
     "eds": "objects of a node, for configuration tools",
