@@ -31,11 +31,9 @@ FORMATS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce export`."""
-    parser.epilog = (
-        "examples: tipforce export dbc --nodes 1-5 -o hand.dbc; tipforce export c --gauges 4 -o firmware/; "
-        "tipforce export ros2 --hand hand.toml -o bus/"
-    )
+    """examples: tipforce export dbc --nodes 1-5 -o hand.dbc; tipforce export c --gauges 4 -o firmware/;
+    tipforce export ros2 --hand hand.toml -o bus/
+    """
     add_choice(parser, "format", FORMATS)
     parser.add_argument("-o", "--output", metavar="PATH", help="default: stdout; c, ros2: a folder, required")
     what = "eds, dcf: REAL32 as decimals, or as hexadecimal bits for Lely's dcfgen (default %(default)s)"
