@@ -35,7 +35,7 @@ def sizes() -> dict[str, int] | None:
     if shutil.which(ARM) is None:
         return None
     from export_c import estimators
-    from tipforce_tools.export.c_sources import write_c_files
+    from tipforce_tools.export import write_c_files
 
     flags = [*estimators.HOST_FLAGS[:-1], *CPU]
     with tempfile.TemporaryDirectory() as name:

@@ -158,9 +158,12 @@ def figure_kind(path: str | Path, allowed: Iterable[str] = (".svg", ".png")) -> 
 def save_figure(figure: Any, path: str | Path, allowed: Iterable[str] = (".svg", ".png"), **options: Any) -> None:
     """Write a figure of matplotlib without a date, so that equal data give equal files. Raises InputError for another
     suffix than ``allowed``, and as new_file does."""
+    from matplotlib import rc_context
+
     kind = figure_kind(path, allowed)
     suffix = Path(path).suffix.lower()
     metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}, ".png": {"Software": None}}[suffix]
     drawn = io.BytesIO()  # matplotlib leaves a file open if writing fails
-    figure.savefig(drawn, format=suffix[1:], metadata=metadata, **options)
+    with rc_context({"svg.hashsalt": "tipforce"}):  # otherwise the names in an SVG are random
+        figure.savefig(drawn, format=suffix[1:], metadata=metadata, **options)
     write_file(path, drawn.getvalue(), kind)

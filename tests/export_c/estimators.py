@@ -30,7 +30,7 @@ import pytest
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
-from tipforce_tools.export.c_sources import write_c_files
+from tipforce_tools.export import write_c_files
 
 HOST_FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic", "-O2"]
 SANITIZE = ["-fsanitize=undefined", "-fno-sanitize-recover=all"]

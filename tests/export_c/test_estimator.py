@@ -20,7 +20,7 @@ from export_c.estimators import CALIBRATED, FORCE_STEP, SANITIZE, Block, Library
 from tipforce.dictionary import table
 from tipforce.dictionary.entries import objects
 from tipforce.sensor.contact import scalar
-from tipforce_tools.export.c_sources import c_files, row_words
+from tipforce_tools.export import c_files, row_words
 
 SAMPLES = 10_000
 DOCUMENT = Path(__file__).parents[2] / "docs/firmware.md"

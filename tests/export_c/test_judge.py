@@ -25,7 +25,7 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.configuration_file import read_configuration
 from tipforce.sensor.contact import scalar, scalar_redundancy
 from tipforce_tools.cli.main import main
-from tipforce_tools.export.c_sources import c_files
+from tipforce_tools.export import c_files
 
 Libraries = Callable[[int, str], Library]
 CALIBRATED, UNKNOWN_FORCE = 0x02, 1

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
@@ -17,10 +18,11 @@ import can
 import pytest
 
 from canopen_device.core.codes import ERROR_FLAG
+from tipforce.host.logs.candump import CandumpParser
 from tipforce.host.logs.recorder import Recorder
 from tipforce_tools.cli.main import main
 from tipforce_tools.log import default_name
-from tipforce_tools.replay import Clock
+from tipforce_tools.replay import timed_frames
 from tools.blocks import MIXED, MIXED_LOG, block_of_text, written
 from tools.rig import Printed, Tipforce, message, sending
 
@@ -250,16 +252,20 @@ def test_without_assignments_frames_go_where_they_came_from(log: Path) -> None:
         assert len(received(can1)) == 3
 
 
-def test_the_clock() -> None:
-    second = 1_000_000_000
-    plain, fast, capped, at_once = Clock(1, None), Clock(10, None), Clock(2, 1.0), Clock(float("inf"), None)
-    times = [5 * second, 6 * second, 6 * second, 5 * second, 100 * second]
-    assert [plain.due_s(t_ns) for t_ns in times] == [0, 1, 1, 1, 96]
-    assert [round(fast.due_s(t_ns), 9) for t_ns in times] == [0, 0.1, 0.1, 0.1, 9.6]
-    assert [capped.due_s(t_ns) for t_ns in times] == [0, 0.5, 0.5, 0.5, 1.0]
-    assert [at_once.due_s(t_ns) for t_ns in times] == [0] * 5
-    plain.begin_again()
-    assert [plain.due_s(t_ns) for t_ns in times[:2]] == [96, 97]
+@pytest.mark.parametrize(
+    ("speed", "max_gap_s", "due_s"),
+    [
+        (1, None, [0, 1, 1, 1, 96, 96, 97, 97, 97, 192]),
+        (10, None, [0, 0.1, 0.1, 0.1, 9.6, 9.6, 9.7, 9.7, 9.7, 19.2]),
+        (2, 1.0, [0, 0.5, 0.5, 0.5, 1.0, 1.0, 1.5, 1.5, 1.5, 2.0]),
+        (float("inf"), None, [0] * 10),
+    ],
+)
+def test_when_frames_are_due(tmp_path: Path, speed: float, max_gap_s: float | None, due_s: list[float]) -> None:
+    path = tmp_path / "run.log"
+    path.write_text("".join(f"({t_s}.000000) vcan0 285#00\n" for t_s in (5, 6, 6, 5, 100)))
+    args = Namespace(log=str(path), speed=speed, max_gap=max_gap_s, loop=2)
+    assert [due for due, _, _ in timed_frames(args, CandumpParser())] == pytest.approx(due_s)
 
 
 def test_loops_speed_and_gaps(tmp_path: Path) -> None:

@@ -205,8 +205,11 @@ def words_of(path: Path) -> str:
 @pytest.mark.parametrize(("suffix", "start"), [(".svg", b"<?xml"), (".pdf", b"%PDF-"), (".PNG", b"\x89PNG\r\n")])
 def test_the_formats(suffix: str, start: bytes, one: Path, tmp_path: Path, plotted: Plotted) -> None:
     path = tmp_path / f"run{suffix}"
+    plotted(one, "-o", path)
+    first = path.read_bytes()
     (node,) = plotted(one, "-o", path)
-    assert path.read_bytes().startswith(start)
+    assert first.startswith(start)
+    assert path.read_bytes() == first, "equal data give equal files"
     assert node["node"] == "node 5 (0x05)"
     assert node["signals"] == ["P", "phi", "theta", "SG1", "SG2", "SG3"]
     assert node["lost"] == 5

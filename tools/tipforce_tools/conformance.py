@@ -5,25 +5,22 @@ import argparse
 from tipforce.errors import InputError, NoResponseError
 from tipforce_tools.cli import bus_flags, common
 
-EPILOG = """\
-A reset follows each case that changes the node; nothing stays stored. A node that starts by itself is put into
-PRE-OPERATIONAL first; where reset node is slow, reset communication takes its place. SYNC, NMT to all nodes and LSS
-reach every device on the bus: run it with this device alone on the bus, or with others that may be disturbed.
---persistent also stores parameters, restores defaults and changes the node-id temporarily; afterwards the stored
-parameters are the defaults.
-
-A required frame is awaited for 200 ms (an SDO response 1 s, a boot-up 5 s), a forbidden one for 30 ms. A case about a
-feature that the device lacks, or with a precondition that it may refuse, is "not applicable". Exit code 1: one failed.
-  tipforce conformance --node-id 5 -i socketcan -c can0 --case 'sdo_block*' --json
-  tipforce conformance --list --case 'CiA 305*'
-"""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce conformance`."""
+    """A reset follows each case that changes the node; nothing stays stored. A node that starts by itself is put into
+    PRE-OPERATIONAL first; where reset node is slow, reset communication takes its place. SYNC, NMT to all nodes and LSS
+    reach every device on the bus: run it with this device alone on the bus, or with others that may be disturbed.
+    --persistent also stores parameters, restores defaults and changes the node-id temporarily; afterwards the stored
+    parameters are the defaults.
+
+    A required frame is awaited for 200 ms (an SDO response 1 s, a boot-up 5 s), a forbidden one for 30 ms. A case about
+    a feature that the device lacks, or with a precondition that it may refuse, is "not applicable". Exit code 1: one
+    failed.
+      tipforce conformance --node-id 5 -i socketcan -c can0 --case 'sdo_block*' --json
+      tipforce conformance --list --case 'CiA 305*'
+    """
     from canopen_conformance.__main__ import add_arguments as add_case_arguments
 
-    parser.epilog = EPILOG
     add_case_arguments(parser, common.node_id)
     common.add_confirm_argument(parser)
     bus_flags.add_bus_arguments(parser)

@@ -1,4 +1,5 @@
-"""`tipforce dataset show|verify|compact|sql DIR`: what it holds, files that are not as its manifest says, queries."""
+"""`tipforce dataset show|verify|compact DIR`: what it holds, and which files are not as its manifest says; and
+`dataset sql`, a query with DuckDB."""
 
 from __future__ import annotations
 
@@ -20,8 +21,7 @@ if TYPE_CHECKING:
 
 
 def add_show_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `tipforce dataset show`, and of verify and compact."""
-    parser.epilog = "DIR: a directory, or a URL that fsspec opens. Exit code 1: a file is missing or damaged.\n"
+    """DIR: a directory, or a URL that fsspec opens. Exit code 1: a file is missing or damaged."""
     parser.add_argument("directory", metavar="DIR", help="of `tipforce decode -o DIR/`")
     common.add_output_arguments(parser)
 
@@ -150,8 +150,6 @@ def lines(store: Store, manifest: Manifest, wrong: dict[str, str]) -> Iterator[s
         yield "remove files that differ; then `tipforce decode` with their logs writes them again"
 
 
-# A query reads the files of the manifest and nothing else: it is one SELECT (COPY could write what a query may open);
-# DuckDB opens no other file, loads no extension, sees no variable of Python, changes no setting; memory is limited.
 MEMORY_MIB = 2048
 """Of tables, sorts and groups; the process may have as much again, for texts and lists that DuckDB does not count."""
 _THREADS = 8
@@ -170,13 +168,12 @@ _PLAIN = {
 
 
 def add_sql_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `tipforce dataset sql`."""
-    parser.epilog = (
-        "DIR: a directory, or a URL that fsspec opens. Views: samples (hand, date, node and all columns of the rows),\n"
-        "events (t_s, channel, node, event, code, text), parts and logs of the manifest. Only files that a\n"
-        "query needs are read. A query is one SELECT: without --unrestricted it opens no other file, and has 2 GiB.\n\n"
-        "  tipforce dataset sql data/ \"select node, max(P_N) from samples where date = '2026-05-17' group by node\""
-    )
+    """DIR: a directory, or a URL that fsspec opens. Views: samples (hand, date, node and all columns of the rows),
+    events (t_s, channel, node, event, code, text), parts and logs of the manifest. Only files that a
+    query needs are read. A query is one SELECT: without --unrestricted it opens no other file, and has 2 GiB.
+
+      tipforce dataset sql data/ "select node, max(P_N) from samples where date = '2026-05-17' group by node"
+    """
     parser.add_argument("directory", metavar="DIR", help="of `tipforce decode -o DIR/`")
     parser.add_argument("sql", metavar="QUERY")
     parser.add_argument(
@@ -186,7 +183,9 @@ def add_sql_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_sql(args: argparse.Namespace) -> int:
-    """Print the rows of a query; return 0. Raises InputError for a wrong one, EnvironmentLackError without DuckDB."""
+    """Print the rows of a query; return 0. Raises InputError for a wrong one, EnvironmentLackError without DuckDB. A
+    query reads the manifest's files and nothing else: it is one SELECT (COPY could write what a query may open), DuckDB
+    opens no other file, loads no extension, sees no variable of Python, no setting can change, memory is limited."""
     from tipforce.host.dataset.reader import damaged, opened, wrong_files
 
     store, manifest = opened(args.directory)
@@ -290,11 +289,11 @@ def views(connection: Any, store: Store, manifest: Manifest) -> Any:
         "select now() as t_s, '' as channel, 0 as node, '' as event, '' as code, '' as text where false"
     )  # fmt: skip
     connection.sql(f"create view events as {rows}")
-    names = {source.id: source.name for source in manifest.sources}
-    _filled(connection, "parts", "log varchar, first_byte bigint, frames bigint, samples bigint, bad_lines bigint",
-            [(names[p.source], p.start, p.frames, p.rows, sum(p.bad.values())) for p in manifest.parts])  # fmt: skip
-    _filled(connection, "logs", "name varchar, bytes bigint, decoded varchar, version varchar",
-            [(one.name, one.size, one.options, one.version) for one in manifest.sources])  # fmt: skip
+    names = {one.id: one.name for one in manifest.sources}
+    _table(connection, "parts", "log varchar, first_byte bigint, frames bigint, samples bigint, bad_lines bigint",
+           [(names[p.source], p.start, p.frames, p.rows, sum(p.bad.values())) for p in manifest.parts])  # fmt: skip
+    _table(connection, "logs", "name varchar, bytes bigint, decoded varchar, version varchar",
+           [(one.name, one.size, one.options, one.version) for one in manifest.sources])  # fmt: skip
     return connection
 
 
@@ -307,7 +306,7 @@ def _list(paths: list[str]) -> str:
     return "[" + ", ".join("'" + path.replace("'", "''") + "'" for path in paths) + "]"
 
 
-def _filled(connection: Any, name: str, columns: str, rows: list[tuple[Any, ...]]) -> None:
+def _table(connection: Any, name: str, columns: str, rows: list[tuple[Any, ...]]) -> None:
     connection.sql(f"create table {name} ({columns})")
     if rows:
         marks = ", ".join("?" for _ in rows[0])

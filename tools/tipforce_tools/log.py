@@ -1,4 +1,5 @@
-"""`tipforce log [vcan0,181:7FF ...] [-o FILE]`: from buses to files, until an end condition."""
+"""Record frames until Ctrl-C, SIGTERM, -n, -T or --seconds. The file then holds all received frames in every case;
+stderr reports the number of frames, and of frames dropped by the kernel."""
 
 from __future__ import annotations
 
@@ -18,23 +19,17 @@ if TYPE_CHECKING:
     from tipforce.host.live.receiver import ReceiverGroup
     from tipforce.host.logs.recorder import Recorder
 
-DESCRIPTION = """\
-Record frames until Ctrl-C, SIGTERM, -n, -T or --seconds. The file then holds all received frames in every case;
-stderr reports the number of frames, and of frames dropped by the kernel.
-"""
-EPILOG = """\
-CHANNEL[,FILTER...] as for `tipforce dump` and candump; without #MASK no error frames. The suffix of FILE sets the
-format: .log (candump's, for canplayer, Wireshark, `tipforce replay` and `decode`), .asc .blf .csv .trc .db .mf4 .txt
-(python-can's writers), and .log.gz .asc.gz .csv.gz .trc.gz. With a --rotate flag, files are numbered: run-0001.log.
-  tipforce log vcan0                                candump-2026-05-17_093000.log, as candump -l
-  tipforce log -o run.log.gz vcan0,180:780 vcan1
-  tipforce log -o hand.log --rotate-size 100M --rotate-time 3600 any,0:0,#FFFFFFFF
-"""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce log` and python-can's bus flags to `parser`."""
-    parser.description, parser.epilog = DESCRIPTION, EPILOG
+    """CHANNEL[,FILTER...] as for `tipforce dump` and candump; without #MASK no error frames. The suffix of FILE sets
+    the format: .log (candump's, for canplayer, Wireshark, `tipforce replay` and `decode`), .asc .blf .csv .trc .db .mf4
+    .txt (python-can's writers), and .log.gz .asc.gz .csv.gz .trc.gz. With a --rotate flag, files are numbered:
+    run-0001.log.
+      tipforce log vcan0                                candump-2026-05-17_093000.log, as candump -l
+      tipforce log -o run.log.gz vcan0,180:780 vcan1
+      tipforce log -o hand.log --rotate-size 100M --rotate-time 3600 any,0:0,#FFFFFFFF
+    """
+    parser.description = __doc__
     what = "buses with their filters"
     parser.add_argument("targets", nargs="*", type=common.TARGET, metavar="CHANNEL[,FILTER...]", help=what)
     parser.add_argument("-o", "--output", metavar="FILE", help="default: a name as of candump -l, by date and time")
@@ -76,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
             if common.OUTPUT.json:
                 record = {"frames": recorder.frames, "dropped": dropped, "seconds": round(seconds, 3), "files": paths}
                 common.print_json(record)
-    return INTERRUPTED if stop.stopped else 0
+    return INTERRUPTED if stop() else 0
 
 
 def _bytes(text: str) -> int:
@@ -98,7 +93,7 @@ def _record(args: argparse.Namespace, receiver: ReceiverGroup, recorder: Recorde
     limit_s = math.inf if args.timeout_ms is None else args.timeout_ms / 1000
     last_s = time.monotonic()
     end_s = math.inf if args.seconds is None else last_s + args.seconds
-    while not stop.stopped and (now_s := time.monotonic()) < end_s:
+    while not stop() and (now_s := time.monotonic()) < end_s:
         try:
             block = receiver.receive_block(min(_SLICE_S, limit_s, end_s - now_s))
         except InterfaceDownError as error:

@@ -21,16 +21,6 @@ if TYPE_CHECKING:
     from tipforce.sensor.structure.geometry import Geometry
     from tipforce.sensor.structure.strain import Gauge
 
-
-_SIMULATE = """\
-  tipforce simulate cia402 --node-id 5 -i socketcan -c vcan0          the drive that tipforce ships
-  tipforce simulate drive.eds io.eds --node-id 5,10 --set 10:0x6000:01=0x0F -i socketcan -c vcan0
-  tipforce simulate press.toml -i socketcan -c vcan0                  a machine: values, signals, faults, applications
-
-Where an EDS leaves CiA 306 or contradicts itself, a warning names the line and how it is read. docs/simulate.md
-describes the TOML file and applications in Python.
-"""
-
 KINDS = "sim, iio:DEVICE[,DEVICE...], replay:FILE"
 
 
@@ -175,8 +165,14 @@ def _numbers(flag: str, text: str, count: int) -> Sequence[float]:
 
 
 def add_simulate_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce simulate`."""
-    parser.epilog = _SIMULATE
+    """
+      tipforce simulate cia402 --node-id 5 -i socketcan -c vcan0        the drive that tipforce ships
+      tipforce simulate drive.eds io.eds --node-id 5,10 --set 10:0x6000:01=0x0F -i socketcan -c vcan0
+      tipforce simulate press.toml -i socketcan -c vcan0                a machine: values, signals, faults, applications
+
+    Where an EDS leaves CiA 306 or contradicts itself, a warning names the line and how it is read. docs/simulate.md
+    describes the TOML file and applications in Python.
+    """
     parser.add_argument("files", nargs="+", metavar="FILE", help="EDS, DCF or XDD files, cia402, or one TOML file")
     parser.add_argument("--node-id", type=common.node_ids, metavar="IDS", help="5, or 1,2,5-9: one for each file")
     parser.add_argument("--application", default="", metavar="NAME", help="cia402, or FILE:CLASS")

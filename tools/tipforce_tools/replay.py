@@ -1,4 +1,6 @@
-"""`tipforce replay LOG [vcan1=vcan0 ...]`: send the frames of a log to buses, with the recorded timing."""
+"""Send the frames of a log with their recorded timing. LOG is candump text (plain, gzip or zstd; - reads stdin) or any
+format that python-can reads. Remote, CAN FD and error frames are sent if the bus supports them; frames left out are
+counted on stderr."""
 
 from __future__ import annotations
 
@@ -26,31 +28,22 @@ if TYPE_CHECKING:
     from tipforce.host.logs.candump import CandumpParser
     from tipforce.host.logs.notes import LogNotes
 
-DESCRIPTION = """\
-Send the frames of a log with their recorded timing. LOG is candump text (plain, gzip or zstd; - reads stdin) or any
-format that python-can reads. Remote, CAN FD and error frames are sent if the bus supports them; frames left out are
-counted on stderr.
-"""
-EPILOG = """\
-WRITE=LOG sends to WRITE the frames recorded from LOG, as canplayer does; frames of other interfaces are left out.
-Without assignments frames go to the interface named in the log, or with -c all to that one. The command asks before
-it sends on a bus that is not virtual.
-  tipforce replay run.log                           to the interfaces of the log
-  tipforce replay run.log.gz vcan1=vcan0 --speed 10
-  tipforce replay --loop inf --max-gap 0.5 run.log vcan0=can0 vcan1=can1
-"""
-
-_speed = common.number_that(lambda speed: speed > 0, "are numbers over 0, and inf")
 _gap = common.number_that(lambda gap_s: 0 <= gap_s < math.inf, "are 0 or more seconds")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce replay` and python-can's bus flags to `parser`."""
-    parser.description, parser.epilog = DESCRIPTION, EPILOG
+    """WRITE=LOG sends to WRITE the frames recorded from LOG, as canplayer does; frames of other interfaces are left
+    out. Without assignments frames go to the interface named in the log, or with -c all to that one. The command asks
+    before it sends on a bus that is not virtual.
+      tipforce replay run.log                           to the interfaces of the log
+      tipforce replay run.log.gz vcan1=vcan0 --speed 10
+      tipforce replay --loop inf --max-gap 0.5 run.log vcan0=can0 vcan1=can1
+    """
+    parser.description = __doc__
     what = "a log file, or - for candump text on stdin"
     parser.add_argument("log", type=common.InputFile(), metavar="LOG", help=what)
     parser.add_argument("assignments", nargs="*", type=_assignment, metavar="WRITE=LOG", help="interfaces")
-    parser.add_argument("--speed", type=_speed, default=1.0, metavar="X", help="times recorded speed (inf: no waiting)")
+    common.add_number(parser, "--speed", 1.0, "X", "times recorded speed (inf: no waiting)", common.speed)
     parser.add_argument("--loop", type=_loop, default=1, metavar="N", help="number of passes, or inf (default: 1)")
     parser.add_argument("--max-gap", type=_gap, metavar="S", help="shorten gaps of the log that are longer than S")
     parser.add_argument("--strict", action="store_true", help="end at the first bad line of candump text")
@@ -84,14 +77,14 @@ def run(args: argparse.Namespace) -> int:
     with StopSignals() as stop, ExitStack() as opened:
         buses, start_s = Buses(args, opened), time.monotonic()
         try:
-            for due_s, name, frame in _frames(args, parser):
-                while (rest_s := start_s + due_s - time.monotonic()) > 0 and not stop.stopped:
+            for due_s, name, frame in timed_frames(args, parser):
+                while (rest_s := start_s + due_s - time.monotonic()) > 0 and not stop():
                     time.sleep(min(rest_s, _SLICE_S))
-                if stop.stopped:
+                if stop():
                     break
                 late_s = max(late_s, -rest_s)
                 buses.send(name, frame)
-            if not (stop.stopped or buses.sent or buses.left_out):
+            if not (stop() or buses.sent or buses.left_out):
                 raise no_frame(args.log, parser.notes.first_bad, (TEXT, PACKED, MESSAGES))
         except BadLineError as error:
             print(f"tipforce replay: {error}", file=sys.stderr)
@@ -102,24 +95,26 @@ def run(args: argparse.Namespace) -> int:
         finally:
             if started:
                 _report(buses, parser.notes, time.monotonic() - start_s, late_s)
-    return INTERRUPTED if stop.stopped else 0
+    return INTERRUPTED if stop() else 0
 
 
-def _frames(args: argparse.Namespace, parser: CandumpParser) -> Iterator[tuple[float, str, Frame]]:
-    """Yield all frames in order, --loop times: seconds after the start, interface, frame. Raises InputError."""
-    clock, path = Clock(args.speed, args.max_gap), Path(args.log)
+def timed_frames(args: argparse.Namespace, parser: CandumpParser) -> Iterator[tuple[float, str, Frame]]:
+    """Yield all frames in order, --loop times: seconds after the start, interface, frame. The steps of time are those
+    of the log, none backwards and none longer than --max-gap, divided by --speed. Raises InputError."""
+    path, due_s = Path(args.log), 0.0
+    longest_ns = math.inf if args.max_gap is None else round(args.max_gap * 1e9)
     suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() not in {".gz", ".zst"}]
     is_text = not suffixes or suffixes[-1] in _TEXT_SUFFIXES
     for _ in islice(count(), args.loop):
-        clock.begin_again()
-        empty = True
+        last_ns = None  # the first frame of a pass is due with the last of the one before
         for block in _text_blocks(args.log, parser) if is_text else _message_blocks(path):
             if not block.timed:
                 raise InputError(f"{args.log} has no timestamps: record it with candump -L or `tipforce log`")
-            empty = empty and not len(block)
             for frame in block.in_order():
-                yield clock.due_s(frame[0]), block.names[frame[4]], frame
-        if empty:
+                step_ns = 0 if last_ns is None else max(frame[0] - last_ns, 0)
+                due_s, last_ns = due_s + min(step_ns, longest_ns) * 1e-9 / args.speed, frame[0]
+                yield due_s, block.names[frame[4]], frame
+        if last_ns is None:
             return
 
 
@@ -178,29 +173,6 @@ def _message_blocks(path: Path) -> Iterator[CandumpBlock]:
 
 _SLICE_S = 0.2  # maximum delay of a signal
 _VIRTUAL = ("virtual", "udp_multicast")
-
-
-class Clock:
-    """Due times of frames: the steps of the log, none backwards and none longer than a given gap, scaled by a speed."""
-
-    def __init__(self, speed: float, max_gap_s: float | None) -> None:
-        self._per_ns = 0.0 if speed == math.inf else 1e-9 / speed
-        self._longest_ns = None if max_gap_s is None else round(max_gap_s * 1e9)
-        self._last_ns: int | None = None
-        self._due_s = 0.0
-
-    def due_s(self, t_ns: int) -> float:
-        """Return the due time of the next frame of the log, in seconds after the start."""
-        step_ns = 0 if self._last_ns is None else max(t_ns - self._last_ns, 0)
-        if self._longest_ns is not None:
-            step_ns = min(step_ns, self._longest_ns)
-        self._last_ns = t_ns
-        self._due_s += step_ns * self._per_ns
-        return self._due_s
-
-    def begin_again(self) -> None:
-        """Restart the log: its first frame is due with its last."""
-        self._last_ns = None
 
 
 class Buses:

@@ -6,18 +6,15 @@ from pathlib import Path
 
 from tipforce_tools.cli import common
 
-EPILOG = """\
-Error against run time compares methods for one task with a reference of stated error. A time is the median of several
-runs with its quartiles: compare times within one run, on an otherwise idle machine. The extreme cases, recorded by the
-tests of this version, state what holds where numbers can go bad: pass, bounded, flagged, refused. Studies that lack
-packages are left out: pip install "tipforce[report]". Exit code 1: a claim did not hold, or a study failed.
-  tipforce report --only decoders,contact --json
-"""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce report`."""
-    parser.epilog = EPILOG
+    """Error against run time compares methods for one task with a reference of stated error. A time is the median of
+    several runs with its quartiles: compare times within one run, on an otherwise idle machine. The extreme cases,
+    recorded by the tests of this version, state what holds where numbers can go bad: pass, bounded, flagged, refused.
+    Studies that lack packages are left out: pip install "tipforce[report]". Exit code 1: a claim did not hold, or a
+    study failed.
+      tipforce report --only decoders,contact --json
+    """
     parser.add_argument("--quick", action="store_true", help="less of all: 75 s of processor time, not ten minutes")
     parser.add_argument("--only", metavar="KEY[,KEY]", help="studies, stability, or cases by key, area or pattern")
     parser.add_argument("--list", action="store_true", help="list studies and cases without running them")

@@ -1,4 +1,5 @@
-"""`tipforce ros2 [HAND.toml|LOG]`: publish forces, contacts and diagnostics as ROS 2 topics, without ROS."""
+"""Publish each fingertip's force and contact at each SYNC, and diagnostics once a second and at each event, as ROS 2
+topics on DDS. ROS need not be installed. Stamps are those of the SYNC."""
 
 from __future__ import annotations
 
@@ -17,11 +18,6 @@ from tipforce_tools.cli.listening import add_sync_argument, check_sync, commissi
 if TYPE_CHECKING:
     from tipforce.watching.feeds import Feed
 
-DESCRIPTION = """\
-Publish each fingertip's force and contact at each SYNC, and diagnostics once a second and at each event, as ROS 2
-topics on DDS. ROS need not be installed. Stamps are those of the SYNC.
-"""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """topics, for a finger named thumb:
@@ -33,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     A hand is commissioned, on a bus the command listens only, and a log is published with its recorded timing.
     ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY and CYCLONEDDS_URI apply.
     """
-    parser.description = DESCRIPTION
+    parser.description = __doc__
     what = "a hand file, or a log (default: listen to the bus)"
     parser.add_argument("source", nargs="?", type=common.InputFile(), metavar="HAND.toml|LOG", help=what)
     parser.add_argument("--namespace", default="/tipforce", metavar="NS", help="of the topics (default %(default)s)")
@@ -43,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--nodes", type=common.node_ids, metavar="IDS", help="bus or log: only these, 1,2,5-9")
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="bus or log: of a finger, 3 to 8 (3)")
     add_sync_argument(parser)
-    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="log: times recorded speed (default 1)")
+    common.add_number(parser, "--speed", 1.0, "X", "log: times recorded speed (default 1)", common.speed)
     parser.add_argument("--seconds", type=float, metavar="S", help="end after this time")
     bus_flags.add_bus_arguments(parser)
 
@@ -87,8 +83,6 @@ def _check(args: argparse.Namespace, is_hand: bool) -> None:
         raise EnvironmentLackError("ros2 needs cyclonedds: `pip install 'tipforce[ros2]'`")
     if args.seconds is not None and not args.seconds > 0:
         raise InputError(f"--seconds {args.seconds:g}: allowed is a time over 0")
-    if not args.speed > 0:
-        raise InputError(f"--speed {args.speed:g}: allowed is more than 0, or inf")
     check_sync(args, None if args.no_bring_up else args.source)
     if args.no_bring_up and not is_hand:
         raise InputError("--no-bring-up: needs a hand file")

@@ -1,4 +1,11 @@
-"""`tipforce vcan [-- COMMAND ...]`: run a command on this kernel, in a namespace of it, or in User-mode Linux."""
+"""Run COMMAND where vcan0 and vcan1 are up, and exit with its exit code. The first of these that works is used: this
+kernel, if the interfaces are up; this kernel in a temporary network namespace, which leaves the host unchanged;
+User-mode Linux, a kernel that runs as a program (apt-get install user-mode-linux). COMMAND has your directory and
+environment. Without any vcan (macOS, containers) commands take -i udp_multicast -c 239.74.163.2.
+
+In User-mode Linux COMMAND is root on one CPU. It can read your files; files that it writes are lost afterwards (--rw
+keeps them, except for temporary files: TMPDIR is a folder in memory). stdin is /dev/null, and stdout and stderr are
+pipes, unless all three are a terminal, which COMMAND then uses."""
 
 import argparse
 import os
@@ -8,28 +15,15 @@ import sys
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce_tools.cli import common
 
-DESCRIPTION = """\
-Run COMMAND where vcan0 and vcan1 are up, and exit with its exit code. The first of these that works is used: this
-kernel, if the interfaces are up; this kernel in a temporary network namespace, which leaves the host unchanged;
-User-mode Linux, a kernel that runs as a program (apt-get install user-mode-linux). COMMAND has your directory and
-environment. Without any vcan (macOS, containers) commands take -i udp_multicast -c 239.74.163.2.
-
-In User-mode Linux COMMAND is root on one CPU. It can read your files; files that it writes are lost afterwards (--rw
-keeps them, except for temporary files: TMPDIR is a folder in memory). stdin is /dev/null, and stdout and stderr are
-pipes, unless all three are a terminal, which COMMAND then uses.
-"""
-EPILOG = """\
-exit codes besides COMMAND's own: 1 after --timeout, 2 usage, 126 and 127 when COMMAND cannot be started, 128+n when
-signal n ended it, 130 interrupted
-
-  tipforce vcan --interfaces can0,can1,can2 -- python -m pytest tests/vcan
-  tipforce vcan --attach                 from another terminal: a second shell on the same buses
-"""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce vcan` to `parser`."""
-    parser.description, parser.epilog = DESCRIPTION, EPILOG
+    """exit codes besides COMMAND's own: 1 after --timeout, 2 usage, 126 and 127 when COMMAND cannot be started, 128+n
+    when signal n ended it, 130 interrupted
+
+      tipforce vcan --interfaces can0,can1,can2 -- python -m pytest tests/vcan
+      tipforce vcan --attach                 from another terminal: a second shell on the same buses
+    """
+    parser.description = __doc__
     parser.add_argument("--interfaces", default="vcan0,vcan1", metavar="NAMES", help="buses to make (%(default)s)")
     parser.add_argument("--memory", default="2G", metavar="SIZE", help="of User-mode Linux (default: %(default)s)")
     parser.add_argument("--timeout", type=common.seconds, metavar="S", help="end COMMAND after S seconds, exit with 1")

@@ -14,19 +14,16 @@ from tipforce_tools.page.guard import page_guard
 if TYPE_CHECKING:
     from tipforce_tools.page.sources import Source
 
-_MOST_SECONDS = 1e9
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce view`."""
+    """
+      tipforce view hand.toml                   commission the hand, and show it
+      tipforce view -i socketcan -c can0        listen only: show all fingers on the bus
+      tipforce view grasp                       run a scene, and show its log
+    The page is read-only and reachable from this machine only, unless --allow-writes and --host are given.
+    """
     from tipforce_tools.cli.listening import add_sync_argument
 
-    parser.epilog = (
-        "  tipforce view hand.toml                   commission the hand, and show it\n"
-        "  tipforce view -i socketcan -c can0        listen only: show all fingers on the bus\n"
-        "  tipforce view grasp                       run a scene, and show its log\n"
-        "The page is read-only and reachable from this machine only, unless --allow-writes and --host are given."
-    )
     parser.add_argument(
         "source",
         nargs="?",
@@ -41,9 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="gauge layout of fingers that do not report it")
     add_sync_argument(parser)
     group = parser.add_argument_group("log or scene")
-    what = "start, seconds from its beginning"
-    group.add_argument("--from", dest="start_s", type=float, default=0.0, metavar="S", help=what)
-    group.add_argument("--to", dest="end_s", type=float, metavar="S", help="end, likewise")
+    what, moment = "start, seconds from its beginning", common.number_within(0.0, 1e9, "is 0 to 1e+09 s")
+    group.add_argument("--from", dest="start_s", type=moment, default=0.0, metavar="S", help=what)
+    group.add_argument("--to", dest="end_s", type=moment, metavar="S", help="end, likewise")
     common.add_page_arguments(parser).add_argument("--allow-writes", action="store_true", help="allow the page to tare")
     bus_flags.add_bus_arguments(parser)
 
@@ -54,9 +51,6 @@ def run(args: argparse.Namespace) -> int:
 
     guard = page_guard(args)
     path = common.scene_or_file(args.source) if args.source else None
-    for flag, value in (("--from", args.start_s), ("--to", args.end_s)):
-        if value is not None and not 0.0 <= value <= _MOST_SECONDS:
-            raise InputError(f"{flag} {value:g}: allowed is 0 to {_MOST_SECONDS:g} s from the beginning")
     with contextlib.closing(_source(args, path)) as source:
         return serve_page(args, source, guard)
 

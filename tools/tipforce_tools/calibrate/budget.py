@@ -33,19 +33,17 @@ _FLAGS: tuple[tuple[str, str, str, str, float], ...] = (
 _MOST = 1e9
 """Limit of each cause in the unit of its flag, and of the load in newtons: its squares stay in range."""
 _QUANTITIES = (("P", "N", 1.0), ("phi", "deg", DEGREES), ("theta", "deg", DEGREES))
-_EPILOG = """\
-All values are standard uncertainties. The calibration is assumed to be one reading in each of the 19 grooves of
-section 4.1, with as many tares. Without CAL.toml: the paper's case I (or --layout), calibrated in this way; with
---uncalibrated C comes from Table 1 and the gauge positions matter. A gravity misalignment leaves almost no residuals
-in a calibration; this table shows its effect.
-One load: --phi and --theta. Default: loads over the whole pad, every 5 degrees of theta, up to 45 degrees to either
-side of the surface normal; the table then shows the root mean square and the maximum.
-  tipforce calibrate budget --layout II --gravity 1 -o budget.png"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce calibrate budget`."""
-    parser.epilog = _EPILOG
+    """All values are standard uncertainties. The calibration is assumed to be one reading in each of the 19 grooves of
+    section 4.1, with as many tares. Without CAL.toml: the paper's case I (or --layout), calibrated in this way; with
+    --uncalibrated C comes from Table 1 and the gauge positions matter. A gravity misalignment leaves almost no
+    residuals in a calibration; this table shows its effect.
+    One load: --phi and --theta. Default: loads over the whole pad, every 5 degrees of theta, up to 45 degrees to
+    either side of the surface normal; the table then shows the root mean square and the maximum.
+      tipforce calibrate budget --layout II --gravity 1 -o budget.png
+    """
     parser.add_argument("file", nargs="?", metavar="CAL.toml")
     parser.add_argument("--layout", metavar="NAME|FILE", help="gauge layout: I, II, III or a layout file")
     parser.add_argument("--uncalibrated", action="store_true", help="C from theory, without a calibration")

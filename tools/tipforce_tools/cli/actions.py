@@ -141,7 +141,7 @@ def parser_of(path: str, place: str | Actions, summary: str) -> CommandParser:
     parser._negative_number_matcher = re.compile(r"-\.?\d")
     if isinstance(place, str):
         add_flags = functions(place)[0]
-        parser.epilog = textwrap.dedent(f"    {add_flags.__doc__ or ''}").strip()
+        parser.epilog = textwrap.dedent(f"    {add_flags.__doc__ or ''}").removeprefix("    ").strip("\n")
         add_flags(parser)
         return parser
     parser.choice = {name: text for name, (_, text) in place.items()}

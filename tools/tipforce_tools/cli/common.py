@@ -96,6 +96,7 @@ whole_number = number_that(lambda value: value >= 0, "are whole numbers from 0",
 unsigned32 = number_that(lambda value: 0 <= value <= 0xFFFFFFFF, "are 0 to 0xFFFFFFFF", _any_base)
 node_id = number_that(lambda value: 1 <= value <= 127, "are 1 to 127 (10 or 0x0A)", _any_base, "node-id ")
 seconds = number_that(lambda value: 0 < value < math.inf, "are seconds, more than 0")
+speed = number_that(lambda value: value > 0, "are numbers over 0, and inf")
 timeout = number_within(0.0, threading.TIMEOUT_MAX, "is a time over 0 s", over=True)  # for which a thread can wait
 MOST = sys.float_info.max
 """The largest finite number."""
@@ -303,8 +304,9 @@ def add_eds_argument(parser: argparse.ArgumentParser | argparse._ArgumentGroup) 
 def add_page_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     """Add the flags of the page's server; return their group."""
     group = parser.add_argument_group("page")
-    port, host = "default %(default)s; 0: any free port", "address to serve on, default loopback; others need --token"
-    group.add_argument("--port", type=int, default=8404, metavar="N", help=port)
+    text, host = "default %(default)s; 0: any free port", "address to serve on, default loopback; others need --token"
+    port = number_that(lambda value: 0 <= value <= 65535, "are 0 (any free port) to 65535", int)
+    group.add_argument("--port", type=port, default=8404, metavar="N", help=text)
     group.add_argument("--host", default="", metavar="ADDRESS", help=host)
     group.add_argument("--token", metavar="TOKEN|auto", help="required to open the page; auto generates one")
     group.add_argument("--open", action="store_true", help="open the page in the browser")

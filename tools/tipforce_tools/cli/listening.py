@@ -212,7 +212,7 @@ class StopSignals:
     second signal raises KeyboardInterrupt, in case the command hangs, if its number is one of ``interrupts``."""
 
     def __init__(self, interrupts: Sequence[int] = (signal.SIGINT, signal.SIGTERM)) -> None:
-        self.stopped = False
+        self._stopped = False
         self._interrupts = interrupts
         self._before: dict[int, Any] = {}
 
@@ -228,9 +228,9 @@ class StopSignals:
 
     def __call__(self) -> bool:
         """Return whether a signal has arrived."""
-        return self.stopped
+        return self._stopped
 
     def _stop(self, number: int, _frame: object) -> None:
-        if self.stopped and number in self._interrupts:
+        if self._stopped and number in self._interrupts:
             raise KeyboardInterrupt
-        self.stopped = True
+        self._stopped = True

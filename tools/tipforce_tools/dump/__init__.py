@@ -1,32 +1,26 @@
-"""Arguments of `tipforce dump [vcan0,181:7FF ...] [FILE|-]`."""
+"""Print frames byte for byte as candump does; with --decode, add what they mean: NMT, SYNC, EMCY, SDO with the names of
+objects, heartbeats, LSS, and the values in the PDOs of fingertips. Text: a log file, or stdin with -."""
 
 import argparse
 
 from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.listening import add_sync_argument
 
-DESCRIPTION = """\
-Print frames byte for byte as candump does; with --decode, add what they mean: NMT, SYNC, EMCY, SDO with the names of
-objects, heartbeats, LSS, and the values in the PDOs of fingertips. Text: a log file, or stdin with -.
-"""
-EPILOG = """\
-CHANNEL[,FILTER...] as for candump, identifiers and masks in hexadecimal:
-  ID:MASK   frames with (identifier & MASK) == (ID & MASK); 8 digits mean a 29-bit identifier
-  ID~MASK   frames with (identifier & MASK) != (ID & MASK)
-  #MASK     error frames of these classes (default: none)
-  j         a frame must pass all filters (default: one of them)
-At the end stderr reports frames left out, and with -v the count of each message.
-exit codes: 0 ok, 1 a bad line with --strict, or no frames in the text, 2 usage
-With text, CHANNEL (or `any`) selects by the interface named in each line.
-
-  tipforce dump -ta vcan0,285:7FF,#FFFFFFFF         one PDO and all error frames
-  candump -L vcan0 | tipforce dump --decode --json -
-"""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce dump` and python-can's bus flags to `parser`."""
-    parser.description, parser.epilog = DESCRIPTION, EPILOG
+    """CHANNEL[,FILTER...] as for candump, identifiers and masks in hexadecimal:
+      ID:MASK   frames with (identifier & MASK) == (ID & MASK); 8 digits mean a 29-bit identifier
+      ID~MASK   frames with (identifier & MASK) != (ID & MASK)
+      #MASK     error frames of these classes (default: none)
+      j         a frame must pass all filters (default: one of them)
+    At the end stderr reports frames left out, and with -v the count of each message.
+    exit codes: 0 ok, 1 a bad line with --strict, or no frames in the text, 2 usage
+    With text, CHANNEL (or `any`) selects by the interface named in each line.
+
+      tipforce dump -ta vcan0,285:7FF,#FFFFFFFF         one PDO and all error frames
+      candump -L vcan0 | tipforce dump --decode --json -
+    """
+    parser.description = __doc__
     metavar, what = "CHANNEL[,FILTER...] | FILE | -", "buses, or a file of candump text"
     parser.add_argument("targets", nargs="*", type=common.TARGET, metavar=metavar, help=what)
     look = parser.add_argument_group("candump's flags")

@@ -35,8 +35,6 @@ BITRATE = 1_000_000
 _SCREEN_S, _LINE_S = 0.25, 1.0
 _SLICE_S = 0.1  # maximum delay of a key or a signal
 
-Show = Callable[[Monitor, int | None], None]
-
 
 def monitor(args: Namespace) -> int:
     """Show the nodes until the source ends, a signal, or --once; return 0, or 130 after a signal."""
@@ -50,12 +48,12 @@ def monitor(args: Namespace) -> int:
         hints = Hints(lambda _text: None)
         source, log = _source(args, log_name, targets, interval_s, opened, hints)
         bitrate = getattr(args, "bitrate", BITRATE)
-        show: Show = partial(_print, bitrate, hints)
+        live = None
         if screen:
             from rich.live import Live
 
             live = opened.enter_context(Live(console=common.console(), auto_refresh=False, transient=False))
-            show = partial(_refresh, live, bitrate, interval_s, hints)
+        show = partial(_show, live, bitrate, interval_s, hints)
         each = show if screen or (common.OUTPUT.json and args.once is None) else None
         shown = run(watched, source, stop, interval_s, each, args.once or math.inf)
         if log is not None and source.ended:
@@ -68,12 +66,12 @@ def monitor(args: Namespace) -> int:
     if log is not None and log.bad:
         reasons = ", ".join(f"{count} {reason}" for reason, count in log.bad.items())
         common.note(f"tipforce monitor: {counted(sum(log.bad.values()), 'bad line')} left out ({reasons})")
-    return INTERRUPTED if stop.stopped else 0
+    return INTERRUPTED if stop() else 0
 
 
 def run(
-    watched: Monitor, source: FrameSource, stopped: Callable[[], bool], interval_s: float, show: Show | None,
-    once_s: float = math.inf,
+    watched: Monitor, source: FrameSource, stopped: Callable[[], bool], interval_s: float,
+    show: Callable[[Monitor, int | None], None] | None, once_s: float = math.inf,
 ) -> bool:  # fmt: skip
     """Update the monitor until the source ends, ``stopped`` is true, or --once is over; return whether it was shown. It
     is shown at each interval of the frames' clock, so that a log gives the same lines."""
@@ -122,19 +120,18 @@ def _source(
     return LogSource(log, args.speed, step_ns), log
 
 
-def _print(bitrate: int, hints: Hints, watched: Monitor, now_ns: int | None) -> None:
+def _show(
+    live: Live | None, bitrate: int, interval_s: float, hints: Hints, watched: Monitor, now_ns: int | None
+) -> None:
     buses = watched.views(now_ns)
-    if common.OUTPUT.json:
+    if live is not None:
+        foot = f"{counted(watched.frames, 'frame')}; every {interval_s:g} s; Ctrl-C ends"
+        live.update(tables(buses, bitrate, _missing(hints, buses), foot, live.console.width), refresh=True)
+    elif common.OUTPUT.json:
         common.print_json(record(buses, None if now_ns is None else now_ns / 1_000_000_000, bitrate))
     else:
         print("\n".join([*plain(buses, bitrate), *_missing(hints, buses)]))
     sys.stdout.flush()
-
-
-def _refresh(screen: Live, bitrate: int, interval_s: float, hints: Hints, watched: Monitor, now_ns: int | None) -> None:
-    foot = f"{counted(watched.frames, 'frame')}; every {interval_s:g} s; Ctrl-C ends"
-    buses = watched.views(now_ns)
-    screen.update(tables(buses, bitrate, _missing(hints, buses), foot, screen.console.width), refresh=True)
 
 
 _DIGITS = {"N": 3, "degree": 2}

@@ -20,18 +20,6 @@ if TYPE_CHECKING:
     from tipforce.host.hand.hand import Hand
     from tipforce.host.hand.rows import HandRow
 
-EXAMPLE = """
-  [hand]
-  sync_hz = 500              # 0: another device sends the SYNC
-  pdos = ["contact"]         # any of gauges, contact, force
-  config = "finger.toml"     # settings of all fingers, from tipforce config save
-
-  [[finger]]
-  name = "thumb"
-  node_id = 1
-  serial = 1005              # 1018h:4: LSS assigns the node-id by it
-  calibration = "thumb.toml" # from tipforce calibrate fit -o
-"""
 QUIET_EVENTS = ("found", "configured", "calibrated", "verified", "started", "state")
 """Shown on stderr with -v only."""
 ACTIONS = {
@@ -42,11 +30,22 @@ ACTIONS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = (
-        f"The file (docs/hand.md has all keys):\n{EXAMPLE}\n"
-        "  tipforce hand run hand.toml --json -i socketcan -c vcan0 | head\n"
-        "`tipforce view hand.toml` shows it in a browser."
-    )
+    """The file (docs/hand.md has all keys):
+
+      [hand]
+      sync_hz = 500              # 0: another device sends the SYNC
+      pdos = ["contact"]         # any of gauges, contact, force
+      config = "finger.toml"     # settings of all fingers, from tipforce config save
+
+      [[finger]]
+      name = "thumb"
+      node_id = 1
+      serial = 1005              # 1018h:4: LSS assigns the node-id by it
+      calibration = "thumb.toml" # from tipforce calibrate fit -o
+
+      tipforce hand run hand.toml --json -i socketcan -c vcan0 | head
+    `tipforce view hand.toml` shows it in a browser.
+    """
     add_choice(parser, "action", ACTIONS)
     parser.add_argument("file", type=common.InputFile(), metavar="FILE", help="hand.toml")
     parser.add_argument("--seconds", type=common.seconds, metavar="S", help="run: end after this time")

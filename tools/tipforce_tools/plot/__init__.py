@@ -1,30 +1,25 @@
-"""Arguments of `tipforce plot LOG ... -o FILE`."""
+"""Plot the fingers of a log: P, phi and theta over time with their uncertainty, gauges, and a strip that shows contact
+and faults. Several logs form one recording. Each finger has a column of panels."""
 
 import argparse
 import re
 
 from tipforce_tools.cli import common
 
-DESCRIPTION = """\
-Plot the fingers of a log: P, phi and theta over time with their uncertainty, gauges, and a strip that shows contact
-and faults. Several logs form one recording. Each finger has a column of panels.
-"""
-EPILOG = """\
-LOG: any format that `tipforce decode` reads; - is candump text on stdin. Unknown values are gaps, lost samples are
-crosses in the strip. The grey band is two standard uncertainties to either side: those that the node sends, or with
---calibration those of gauge noise and calibration together.
---signals: P, phi, theta, gauges, status (the default), F1, F2, F3, SG1.., temperature, u_P and other signals sent;
-with --eds all signals are the default.
-
-  tipforce plot run.log --nodes 1-5 --from 10 --to 12.5 -o touch.pdf --size 24x16cm
-  tipforce plot thumb.log --calibration thumb.toml --signals P,theta,status -o thumb.svg
-"""
 _INCHES = {"": 1.0, "in": 1.0, "cm": 1 / 2.54, "mm": 1 / 25.4}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce plot` to `parser`."""
-    parser.description, parser.epilog = DESCRIPTION, EPILOG
+    """LOG: any format that `tipforce decode` reads; - is candump text on stdin. Unknown values are gaps, lost samples
+    are crosses in the strip. The grey band is two standard uncertainties to either side: those that the node sends, or
+    with --calibration those of gauge noise and calibration together.
+    --signals: P, phi, theta, gauges, status (the default), F1, F2, F3, SG1.., temperature, u_P and other signals sent;
+    with --eds all signals are the default.
+
+      tipforce plot run.log --nodes 1-5 --from 10 --to 12.5 -o touch.pdf --size 24x16cm
+      tipforce plot thumb.log --calibration thumb.toml --signals P,theta,status -o thumb.svg
+    """
+    parser.description = __doc__
     parser.add_argument("logs", nargs="+", type=common.LOG, metavar="LOG", help="files and globs, or -")
     parser.add_argument("-o", "--output", metavar="FILE", help=".png, .svg or .pdf")
     parser.add_argument("--size", type=_size, metavar="WxH", help="16x10cm, 160x100mm, 7x4in")

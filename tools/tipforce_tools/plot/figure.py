@@ -6,8 +6,9 @@ import math
 from argparse import Namespace
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -60,7 +61,8 @@ def plot(args: Namespace) -> int:
     path = Path(args.output)
     names = log_choice.logs(args.logs)
     check_output(path, figure_kind(path, FIGURES), names)
-    plt = _import_matplotlib()
+    if find_spec("matplotlib") is None:
+        raise EnvironmentLackError("a plot needs matplotlib: pip install 'tipforce[plot]'")
     layouts, calibrations = log_choice.layouts(args)
     contact, computed = None, frozenset[str]()
     if calibrations:  # the contact is estimated from gauges
@@ -78,11 +80,7 @@ def plot(args: Namespace) -> int:
     _check(args, fingers, notes)
     if STATUS not in wanted and not any(finger.traces for _, finger in fingers.named()):
         raise InputError(f"{', '.join(names)}: no {', '.join(wanted)} in it, so there is nothing to draw")
-    drawn = draw(fingers, plt, args.size, status=STATUS in wanted)
-    try:
-        save_figure(drawn, path, FIGURES, dpi=130)
-    finally:
-        plt.close(drawn)
+    save_figure(draw(fingers, args.size, status=STATUS in wanted), path, FIGURES, dpi=130)
     for log in notes:
         if log.bad:
             common.note(f"tipforce plot: {log.source}: {counted(sum(log.bad.values()), 'bad line')} left out")
@@ -138,19 +136,10 @@ def _record(fingers: Fingers, path: Path) -> dict[str, object]:
     return {"output": str(path), "start_ns": fingers.start_ns, "nodes": nodes}
 
 
-def _import_matplotlib() -> Any:
-    try:
-        import matplotlib as mpl
-    except ImportError:
-        raise EnvironmentLackError("a plot needs matplotlib: pip install 'tipforce[plot]'") from None
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    return plt
-
-
-def draw(fingers: Fingers, plt: Any, size_inches: tuple[float, float] | None, *, status: bool) -> Figure:
+def draw(fingers: Fingers, size_inches: tuple[float, float] | None, *, status: bool) -> Figure:
     """Draw the figure of all fingers. ``size_inches`` None: by its content."""
+    from matplotlib.figure import Figure
+
     named = fingers.named()
     # The panels with data of any finger, from the contact down.
     order = ["P", "phi", "theta", "force", "gauges"]
@@ -165,7 +154,7 @@ def draw(fingers: Fingers, plt: Any, size_inches: tuple[float, float] | None, *,
         *([0.35 + 0.17 * len(frame.bars)] * status),
     ]
     size = size_inches or ((9.0 if across == 1 else 1.2 + 3.3 * across), 1.0 + down * (sum(heights) + 0.6))
-    figure: Figure = plt.figure(figsize=size, layout="constrained")
+    figure = Figure(figsize=size, layout="constrained")
     grid = figure.subplots(
         down * len(rows), across, squeeze=False, sharex=True, sharey=False,
         gridspec_kw={"height_ratios": heights * down},

@@ -110,8 +110,6 @@ class Flags:
     def bars(self) -> dict[str, list[tuple[int, int]]]:
         """Return by name, for flags that were set: start and end times in nanoseconds."""
         bins = self._bins.filled()
-        if not len(bins["count"]):
-            return {}
         first, last = bins["first_ns"], bins["last_ns"]
         usual_ns = (last[-1] - first[0]) / max(int(bins["count"].sum()) - 1, 1)
         # A flag holds until the next sample, unless that is late.
