@@ -42,6 +42,14 @@ def test_columns_that_come_late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert [value is None for value in table["SG2_ue"].to_pylist()] == [not row["SG2_ue"] for row in rows]
 
 
+def test_strict_tells_what_was_lost_before_the_bad_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = log_lines(9, (5,), loss=0.0)
+    bad = write_log(tmp_path / "bad.log", [*lines[:12], *lines[15:], "nonsense"])  # without the fifth sample
+    assert main(["decode", str(bad), "--strict", "--summary", "--json"]) == 1
+    record = json.loads(capsys.readouterr().out)
+    assert record["lost"] == record["nodes"][0]["lost"] == 1
+
+
 def test_strict_ends_at_the_first_bad_line(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = log.read_text().splitlines()
     lines[40:40] = ["(1700000000.9) nonsense"]

@@ -148,11 +148,11 @@ def test_the_rows_are_those_of_one_pass(
     expected, whole = one_pass(log)
     found, joined, _ = in_parts(log, cuts, slots, order)
     assert sorted(found) == sorted(expected)
-    assert joined.told.tally == whole.told.tally
-    assert joined.told.bus.found == whole.told.bus.found
-    assert joined.told.unseen == whole.told.unseen
-    assert [(note.bad, note.first_bad, note.frames) for note in joined.told.notes] == [
-        (note.bad, note.first_bad, note.frames) for note in whole.told.notes
+    assert joined.tally == whole.tally
+    assert joined.bus.found == whole.bus.found
+    assert joined.unseen == whole.unseen
+    assert [(note.bad, note.first_bad, note.frames) for note in joined.notes] == [
+        (note.bad, note.first_bad, note.frames) for note in whole.notes
     ]
 
 

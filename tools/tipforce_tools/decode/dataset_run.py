@@ -30,7 +30,7 @@ from tipforce.host.dataset.manifest import (
 from tipforce.host.dataset.reader import need_pyarrow
 from tipforce.host.dataset.store import FOLDER, Store, url_of
 from tipforce.host.decoding.log_part import Piece, Reading
-from tipforce.host.decoding.recording import Recording, State, Told
+from tipforce.host.decoding.recording import Recording, State
 from tipforce.host.decoding.sample_table import Column
 from tipforce.host.logs.lines import decompressed, open_file
 from tipforce.host.logs.reader import log_kind
@@ -117,10 +117,10 @@ class DatasetRun:
     """One run that adds logs to the dataset ``directory``."""
 
     def __init__(
-        self, directory: str, reading: Reading, told: Told, hand: str | None, cut: Cut,
+        self, directory: str, reading: Reading, recording: Recording, hand: str | None, cut: Cut,
         workers: Callable[[Sink, int], Workers],
     ) -> None:  # fmt: skip
-        """``told`` gets what the logs tell besides rows. Raises InputError for a directory of other files."""
+        """``recording`` gets what the logs have besides rows. Raises InputError for a directory of other files."""
         self._cut, self._workers, self._reading, self._hand = cut, workers, reading, hand
         need_pyarrow(directory)
         self.store = Store(directory)
@@ -134,7 +134,7 @@ class DatasetRun:
         self._begins: dict[str, str] = {}
         self.added = 0
         """Parts of this run."""
-        self.told = told
+        self._recording = recording
 
     def add(self, names: Sequence[str]) -> Generator[Written]:
         """Add what the dataset does not have, and what was removed from it; yield each part before it is committed.
@@ -257,10 +257,10 @@ class DatasetRun:
             self._take(done, logs[number], sink.names[number], state, last and chain.ends)
             state = done.state
             if last:
-                self.told.append(recording.told)
+                self._recording.append(recording)
             yield done.written
             due = time.monotonic() - self._committed > max(_COMMIT_S, _COMMIT_SHARE * self._cost_s)
-            if last or (due and recording.told.tally.messages):  # what is not a log of fingertips is not committed
+            if last or (due and recording.tally.messages):  # what is not a log of fingertips is not committed
                 self._commit()
 
     def _take(self, done: Done, log: _Log, name: str, before: State, last: bool) -> None:

@@ -20,7 +20,7 @@ from tipforce.errors import InputError, WriteError
 from tipforce.host.dataset.reader import tables_of_logs
 from tipforce.host.dataset.store import is_dataset, is_url
 from tipforce.host.decoding.log_part import Piece, Reading, StrictError
-from tipforce.host.decoding.recording import Recording, Tap, Told
+from tipforce.host.decoding.recording import Recording, Tap
 from tipforce.host.decoding.sample_table import Table
 from tipforce.host.frames.frame_array import MAX_CHANNELS
 from tipforce.host.logs.lines import is_plain, line_borders
@@ -65,13 +65,13 @@ def decode(args: Namespace) -> int:
         print(f"tipforce decode: {error}", file=sys.stderr)
         code = 1
     finally:
-        run.report(complete)
+        run.report(complete, at_bad_line=code == 1)
     if args.json and (_to_file(args) or args.summary):
-        common.print_json(summaries.record(run.summary, run.told, args.output))
+        common.print_json(summaries.record(run.summary, run.recording, args.output))
     elif args.summary:
-        for line in (*summaries.lines(run.summary, run.told), *summaries.event_lines(run.told)):
+        for line in (*summaries.lines(run.summary, run.recording), *summaries.event_lines(run.recording)):
             print(line)
-    dropped = summaries.bad_lines(run.told).get("interface", 0)
+    dropped = summaries.bad_lines(run.recording).get("interface", 0)
     if dropped:
         print(
             f"tipforce decode: {counted(dropped, 'frame')} left out: a log may have {MAX_CHANNELS} interfaces; decode "
@@ -110,8 +110,7 @@ class _Run:
         self.stop = StopSignals() if ("-" in self.names or args.follow) and not _to_dataset(args) else None
         if self.stop is not None:
             self._reading = replace(self._reading, stop=self.stop)
-        self._recording = Recording(self._reading)
-        self.told = self._recording.told
+        self.recording = Recording(self._reading)
         self.summary = summaries.Summary(self._reading.reasons)
 
     def write(self, advance: Callable[[float], None]) -> None:
@@ -125,12 +124,12 @@ class _Run:
         elif args.summary and args.output is None:
             for _ in self._tables(advance):
                 pass
-            _check_readable(args, self.told)
+            _check_readable(args, self.recording)
         else:
             self._write_all(advance)
 
     def _tables(self, advance: Callable[[float], None], tap: Tap | None = None) -> Iterable[Table]:
-        tables = tables_of_logs(self._recording, self.names, advance, tap)
+        tables = tables_of_logs(self.recording, self.names, advance, tap)
         return self._resampled(self.summary.passing(self._contact(tables)))
 
     def _write_all(self, advance: Callable[[float], None]) -> None:
@@ -150,7 +149,7 @@ class _Run:
                     mcap = McapWriter(stream)
                     for table in looked_ahead(self._tables(advance, mcap.frames)):
                         mcap.write(table)
-                    mcap.close(self.told.bus.found)
+                    mcap.close(self.recording.bus.found)
                     return
                 writer = StreamWriter(stream, kind, base)
                 for table in looked_ahead(self._tables(advance)):
@@ -167,7 +166,7 @@ class _Run:
             assert file is not None
             with JoinedFile(file, self._kind, shape) as output:
                 workers = _workers(self._args, self._reading, output, len(pieces))
-                for written, *_ in InOrder(pieces, self._recording, shape, workers):
+                for written, *_ in InOrder(pieces, self.recording, shape, workers):
                     self.summary.append(written.summary)
                     output.add(written.record, written.shape)
                     advance(_size(written.piece))
@@ -180,10 +179,10 @@ class _Run:
         file = NewFile(output, KINDS[self._kind], inputs) if _to_file(self._args) else None
         try:
             yield file
-            _check_readable(self._args, self.told)
+            _check_readable(self._args, self.recording)
             if file is not None:
                 file.keep()
-                summaries.write_events(output, self.told.bus.found)
+                summaries.write_events(output, self.recording.bus.found)
         except OSError as error:
             if file is None:
                 raise
@@ -201,14 +200,14 @@ class _Run:
         reading = replace(self._reading, follow=False)  # a growing log is read again and again
         names = self.names if args.scheduler is None else [os.path.abspath(name) for name in self.names]
         cut, workers = partial(_pieces_from, args), partial(_workers, args, reading)
-        run = DatasetRun(args.output, reading, self.told, args.hand, cut, workers)
+        run = DatasetRun(args.output, reading, self.recording, args.hand, cut, workers)
         try:
             while True:
                 with closing(run.add(names)) as parts:
                     for written in parts:
                         self.summary.append(written.summary)
                         advance(_size(written.piece))
-                        _check_readable(args, self.told)
+                        _check_readable(args, self.recording)
                 if not args.follow:
                     break
                 time.sleep(_FOLLOW_S)
@@ -218,31 +217,32 @@ class _Run:
         if not run.added:
             common.note(f"{args.output}: nothing new in {counted(len(names), 'log')}")
 
-    def report(self, complete: bool) -> None:
-        """Report on stderr what is noteworthy; ``complete``: the output is."""
-        args, told, summary = self._args, self.told, self.summary
-        for line in summaries.notes_lines(told):
+    def report(self, complete: bool, at_bad_line: bool) -> None:
+        """Report on stderr what is noteworthy; ``complete``: the output is; ``at_bad_line``: it ends there."""
+        args, recording, summary = self._args, self.recording, self.summary
+        for line in summaries.notes_lines(recording):
             common.note(line)
-        if core is None and sum(notes.frames for notes in told.notes) > _MANY_FRAMES:
+        if core is None and sum(notes.frames for notes in recording.notes) > _MANY_FRAMES:
             common.note(f"slow, without the compiled core: {how_to_build()}")
-        if told.unseen and not args.calibration and (args.verbose or args.summary):
-            common.note(reasons.not_seen(node for _, node in told.unseen))
-        if complete and not summary.samples and told.notes:
-            frames = sum(notes.frames for notes in told.notes)
+        if recording.unseen and not args.calibration and (args.verbose or args.summary):
+            common.note(reasons.not_seen(node for _, node in recording.unseen))
+        if complete and not summary.samples and recording.notes:
+            frames = sum(notes.frames for notes in recording.notes)
             flags = log_choice.narrowing_flags(args)
             chosen = f"; {flags} may exclude it" if flags and frames else ""
             common.note(f"no sample of a fingertip in {counted(frames, 'frame')}{chosen}")
         if args.summary and not args.json:
             return
-        for line in summaries.event_lines(told):
+        for line in summaries.event_lines(recording):
             common.note(line)
-        for line in summaries.lines(summary, told) if args.verbose else summaries.lost_lines(told):
+        lost_lines = summaries.lost_lines(recording) if complete or at_bad_line else ()
+        for line in summaries.lines(summary, recording) if args.verbose else lost_lines:
             common.note(line)
-        if complete and _to_file(args) and not args.json and (told.notes or not _to_dataset(args)):
-            lost = sum(told.tally.lost().values())
+        if complete and _to_file(args) and not args.json and (recording.notes or not _to_dataset(args)):
+            lost = sum(recording.tally.lost().values())
             samples, nodes = counted(summary.samples.total(), "sample"), counted(len(summary.samples), "node")
             common.note(f"{args.output}: {samples} of {nodes}, {lost} lost")
-            if (events := told.bus.found) and not _to_dataset(args):
+            if (events := recording.bus.found) and not _to_dataset(args):
                 common.note(f"{summaries.events_path(args.output)}: {counted(len(events), 'event')}")
 
 
@@ -290,7 +290,9 @@ def pieces_of(args: Namespace, kind: str, names: Sequence[str]) -> list[Piece]:
     pieces: list[Piece] = []
     for name, size in zip(names, sizes, strict=True):
         count = min(size // _LEAST_PIECE_BYTES, jobs * -(-size // (jobs * _PIECE_BYTES)))
-        whole = count < 2 or jobs < 2 or (args.strict and (args.summary or args.json))  # the bad line ends what is told
+        whole = (
+            count < 2 or jobs < 2 or (args.strict and (args.summary or args.json))
+        )  # the bad line ends what is recording
         pieces += [Piece(name)] if whole else _cut(args, name, 0, count)
     return pieces if len(pieces) > 1 or args.scheduler is not None else []
 
@@ -328,18 +330,18 @@ def _jobs(args: Namespace) -> int:
     return args.jobs or cores
 
 
-def _check_readable(args: Namespace, told: Told) -> None:
+def _check_readable(args: Namespace, recording: Recording) -> None:
     """Raises LogError for an input without a frame, and for one without a sample if no flag leaves samples out. A log
     that is followed may have them later."""
     from tipforce.host.logs.notes import no_frame, no_sample
 
-    names, frames = ", ".join(notes.source for notes in told.notes), sum(notes.frames for notes in told.notes)
-    begun = _to_dataset(args) and not summaries.bad_lines(told)  # a log of a dataset may begin empty, and grow
-    if told.notes and not frames and not args.follow and not begun:
+    names, frames = ", ".join(notes.source for notes in recording.notes), sum(notes.frames for notes in recording.notes)
+    begun = _to_dataset(args) and not summaries.bad_lines(recording)  # a log of a dataset may begin empty, and grow
+    if recording.notes and not frames and not args.follow and not begun:
         raise no_frame(names)
     narrowed = args.signals or args.calibration or args.follow or log_choice.narrowing_flags(args)
-    if frames and not told.tally.messages and not told.tally.short and not told.bus.found and not narrowed:
-        raise no_sample(names, frames, sum(notes.extended for notes in told.notes))
+    if frames and not (recording.tally.messages or recording.tally.short or recording.bus.found or narrowed):
+        raise no_sample(names, frames, sum(notes.extended for notes in recording.notes))
 
 
 def _check(args: Namespace) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from tipforce.arrays import BoolArray
-from tipforce.host.decoding.recording import Told
+from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import Column, Table, place_of
 from tipforce.host.decoding.services import BusEvent
 from tipforce.output_file import Kind, write_file
@@ -116,36 +116,37 @@ class Summary:
         return found
 
 
-def bad_lines(told: Told) -> dict[str, int]:
+def bad_lines(recording: Recording) -> dict[str, int]:
     """Return the bad lines of all logs by reason."""
-    return sum((Counter(notes.bad) for notes in told.notes), Counter())
+    return sum((Counter(notes.bad) for notes in recording.notes), Counter())
 
 
-def record(summary: Summary, told: Told, output: str | None) -> dict[str, Any]:
+def record(summary: Summary, recording: Recording, output: str | None) -> dict[str, Any]:
     """Return the whole summary as a JSON record."""
     return {
         "output": output,
-        "logs": [notes.source for notes in told.notes],
-        "frames": sum(notes.frames for notes in told.notes),
+        "logs": [notes.source for notes in recording.notes],
+        "frames": sum(notes.frames for notes in recording.notes),
         "samples": summary.samples.total(),
-        "lost": sum(told.tally.lost().values()),
-        "bad": bad_lines(told),
-        "skipped": sum((Counter(notes.skipped) for notes in told.notes), Counter()),
+        "lost": sum(recording.tally.lost().values()),
+        "bad": bad_lines(recording),
+        "skipped": sum((Counter(notes.skipped) for notes in recording.notes), Counter()),
         "events": [
-            dict(zip(EVENT_COLUMNS, (event.t_ns / 1_000_000_000, *event[1:]), strict=True)) for event in told.bus.found
+            dict(zip(EVENT_COLUMNS, (event.t_ns / 1_000_000_000, *event[1:]), strict=True))
+            for event in recording.bus.found
         ],
-        "nodes": [_node_record(summary, told, place) for place in sorted(summary.samples)],
+        "nodes": [_node_record(summary, recording, place) for place in sorted(summary.samples)],
     }
 
 
-def _node_record(summary: Summary, told: Told, place: Place) -> dict[str, Any]:
+def _node_record(summary: Summary, recording: Recording, place: Place) -> dict[str, Any]:
     first_s, last_s = (t_ns / 1_000_000_000 for t_ns in span) if (span := summary.spans_ns.get(place)) else (None, None)
-    messages = {name: count for (*of, name), count in told.tally.messages.items() if tuple(of) == place}
+    messages = {name: count for (*of, name), count in recording.tally.messages.items() if tuple(of) == place}
     return {
         "channel": place[0],
         "node": place[1],
         "samples": summary.samples[place],
-        "lost": told.tally.lost().get(place),
+        "lost": recording.tally.lost().get(place),
         "first_s": first_s,
         "last_s": last_s,
         "missing": summary.missing(place),
@@ -153,14 +154,14 @@ def _node_record(summary: Summary, told: Told, place: Place) -> dict[str, Any]:
             name: {"frames": count.frames, **({} if count.lost is None else {"lost": count.lost})}
             for name, count in messages.items()
         },
-        "short": {name: short for (*of, name), short in told.tally.short.items() if tuple(of) == place},
+        "short": {name: short for (*of, name), short in recording.tally.short.items() if tuple(of) == place},
     }
 
 
-def lines(summary: Summary, told: Told) -> Iterator[str]:
+def lines(summary: Summary, recording: Recording) -> Iterator[str]:
     """Yield the summary as text, a line per node."""
     several = len({channel for channel, _ in summary.samples}) > 1
-    lost = told.tally.lost()
+    lost = recording.tally.lost()
     for place, samples in sorted(summary.samples.items()):
         span = summary.spans_ns.get(place)
         duration = "" if span is None else f" in {(span[1] - span[0]) / 1e9:.3f} s"
@@ -170,26 +171,26 @@ def lines(summary: Summary, told: Told) -> Iterator[str]:
             yield f"  {name} missing: " + ", ".join(f"{count} {reason}" for reason, count in reasons.items())
 
 
-def event_lines(told: Told) -> Iterator[str]:
+def event_lines(recording: Recording) -> Iterator[str]:
     """Yield the events per node: EMCYs by their text, boot-ups and other changes of the NMT state."""
     counts: dict[Place, Counter[str]] = {}
-    for event in told.bus.found:
+    for event in recording.bus.found:
         what = f"EMCY {event.text}" if event.kind == "emcy" else _EVENTS.get(event.kind, event.text)
         counts.setdefault((event.channel, event.node_id), Counter())[what] += 1
     for (channel, node), of_node in sorted(counts.items()):
         yield f"{channel} node {shown_id(node)}: " + "; ".join(f"{count} {what}" for what, count in of_node.items())
 
 
-def lost_lines(told: Told) -> Iterator[str]:
+def lost_lines(recording: Recording) -> Iterator[str]:
     """Yield the nodes that lost samples."""
-    for (channel, node), lost in sorted(told.tally.lost().items()):
+    for (channel, node), lost in sorted(recording.tally.lost().items()):
         if lost:
             yield f"{channel} node {shown_id(node)}: {lost} lost samples"
 
 
-def notes_lines(told: Told) -> Iterator[str]:
+def notes_lines(recording: Recording) -> Iterator[str]:
     """Yield the problems, for stderr."""
-    for notes in told.notes:
+    for notes in recording.notes:
         if notes.bad:
             counts = ", ".join(f"{count} {reason}" for reason, count in sorted(notes.bad.items()))
             first = "" if notes.first_bad is None else f"; the first: {notes.first_bad}"  # a dataset has counts alone
@@ -197,7 +198,7 @@ def notes_lines(told: Told) -> Iterator[str]:
         if notes.skipped:
             counts = ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in notes.skipped.items())
             yield f"{notes.source}: without samples: {counts}"
-    for (channel, node, name), short in sorted(told.tally.short.items()):
+    for (channel, node, name), short in sorted(recording.tally.short.items()):
         yield f"{channel} node {shown_id(node)} {name}: {short} frames too short for their mapping"
 
 

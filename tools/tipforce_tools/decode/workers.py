@@ -4,26 +4,26 @@
 import multiprocessing
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
-from itertools import chain
+from functools import partial
 from multiprocessing import connection
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from tipforce.errors import EnvironmentLackError, TipforceError
-from tipforce.host.decoding.duplicates import services
 from tipforce.host.decoding.log_part import Piece, Reading, StrictError
-from tipforce.host.decoding.recording import DecodedPart, Headers, Passed, Recording, State, noting
+from tipforce.host.decoding.recording import DecodedPart, Passed, Recording, State, decode_after
 from tipforce.host.decoding.sample_table import Table
 from tipforce.host.decoding.services import BusEvent
-from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.notes import LogNotes
 from tipforce_tools.decode.summary import Summary
 from tipforce_tools.writing.writers import Shape
+
+T = TypeVar("T")
 
 
 class Sink(Protocol):
@@ -82,38 +82,36 @@ class Work:
 
     def __init__(self, number: int, piece: Piece, reading: Reading) -> None:
         self._number, self._piece, self._reading = number, piece, reading
-        self._part: DecodedPart | Exception
-        try:
-            self._part = DecodedPart(piece, reading)
-        except (TipforceError, OSError) as error:
-            self._part = error
+        self._part = _attempt(lambda: DecodedPart(piece, reading))
 
     def follow(self, before: State, last: bool) -> Passed | Exception:
         """Return what the part leaves."""
-        if isinstance(self._part, Exception):
-            return self._part
-        try:
-            return self._part.follow(before, last=last)
-        except (TipforceError, OSError) as error:
-            return error
+        part = self._part
+        return part if isinstance(part, Exception) else _attempt(lambda: part.follow(before, last=last))
 
     def write(
         self, sink: Sink, passed: Passed | Exception, before: State, shape: Shape, last: bool
     ) -> Written | Exception:  # fmt: skip
         """Complete and write the rows, see ``Workers``."""
+        part = self._part
         if isinstance(passed, Exception):
             return passed
-        assert isinstance(self._part, DecodedPart)
+        assert isinstance(part, DecodedPart)
         for columns in passed.columns:
             shape.take(*columns)
-        try:
-            return _written(self._number, self._piece, self._reading, sink, self._part.rows(before, last=last), shape)
-        except (TipforceError, OSError) as error:
-            return error
+        write = partial(_written, self._number, self._piece, self._reading, sink, shape)
+        return _attempt(lambda: write(part.rows(before, last=last)))
+
+
+def _attempt(act: Callable[[], T]) -> T | Exception:
+    try:
+        return act()
+    except (TipforceError, OSError) as error:
+        return error
 
 
 def _written(
-    number: int, piece: Piece, reading: Reading, sink: Sink, tables: Iterable[Table], shape: Shape
+    number: int, piece: Piece, reading: Reading, sink: Sink, shape: Shape, tables: Iterable[Table]
 ) -> Written:  # fmt: skip
     summary = Summary(reading.reasons)
     return Written(number, piece, sink.write(number, summary.passing(tables), shape), shape, summary)
@@ -137,11 +135,8 @@ class Here(Workers):
 
     def write(self, number: int, before: State, shape: Shape, last: bool) -> None:
         assert self._piece is not None
-        recording, few, columns = Recording(self._reading, before), list[FrameArray](), Headers()
-        tables = recording.tables_of_piece(self._piece, tap=lambda block, _: few.append(services(block)))
-        rows = noting(chain(tables, recording.finish() if last else ()), columns)
-        written = _written(number, self._piece, self._reading, self._sink, rows, shape)
-        passed = Passed(recording.state(), recording.told.notes[0], few, columns)
+        take = partial(_written, number, self._piece, self._reading, self._sink, shape)
+        passed, written = decode_after(before, self._piece, self._reading, last, take)
         self._events += [(number, passed), (number, written)]
         self._piece = None
 
@@ -162,7 +157,7 @@ class InOrder:
         self._pieces, self._recording, self._shape = pieces, recording, shape
         self._workers, self._ends = workers, ends
         self._written: dict[int, Written] = {}
-        self._told: dict[int, tuple[State, LogNotes, list[BusEvent]]] = {}
+        self._left: dict[int, tuple[State, LogNotes, list[BusEvent]]] = {}
         self._begun = self._ordered = self._passed = self._given = 0
 
     def __iter__(self) -> Iterator[Done]:
@@ -178,26 +173,26 @@ class InOrder:
                     self._ordered += 1
                 self._take(self._workers.next())
                 while self._given in self._written and self._given < self._passed:
-                    done = Done(self._written.pop(self._given), *self._told.pop(self._given))
+                    done = Done(self._written.pop(self._given), *self._left.pop(self._given))
                     self._given += 1
                     yield done
         finally:
             self._workers.close()
 
     def _take(self, event: Event) -> None:
-        number, told = event
-        if isinstance(told, StrictError) and number == self._passed:
-            raise self._recording.numbered(told)
-        if isinstance(told, Exception):
-            raise told
-        if isinstance(told, Written):
-            self._written[number] = told
+        number, result = event
+        if isinstance(result, StrictError) and number == self._passed:
+            raise self._recording.numbered(result)
+        if isinstance(result, Exception):
+            raise result
+        if isinstance(result, Written):
+            self._written[number] = result
             return
-        before = len(self._recording.told.bus.found)
-        self._recording.resume(told)
-        for columns in told.columns:
+        before = len(self._recording.bus.found)
+        self._recording.resume(result)
+        for columns in result.columns:
             self._shape.take(*columns)
-        self._told[number] = self._recording.state(), told.notes, self._recording.told.bus.found[before:]
+        self._left[number] = self._recording.state(), result.notes, self._recording.bus.found[before:]
         self._passed = number + 1
 
 

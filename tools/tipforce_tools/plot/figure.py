@@ -76,7 +76,7 @@ def plot(args: Namespace) -> int:
     tables: Iterable[Table] = tables_of_logs(recording, names)
     for table in tables if contact is None else contact.tables(tables):
         fingers.add(table)
-    notes = recording.told.notes
+    notes = recording.notes
     _check(args, fingers, notes)
     if STATUS not in wanted and not any(finger.traces for _, finger in fingers.named()):
         raise InputError(f"{', '.join(names)}: no {', '.join(wanted)} in it, so there is nothing to draw")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -99,15 +99,6 @@ def events_table(events: Sequence[BusEvent]) -> pa.Table:
     rows = [(event.t_ns // 1000, *row[1:]) for event, row in zip(events, event_rows(events), strict=True)]
     columns = zip(*rows, strict=True)
     return pa.table([pa.array(column, kind) for column, kind in zip(columns, EVENTS.types, strict=True)], EVENTS)
-
-
-def write_part(path: Path, tables: Iterable[Table], shape: Shape) -> None:
-    """Write one file with at least the columns of ``shape``, which grows by those of the tables. Raises OSError."""
-    with Parts(path) as parts:
-        for table in tables:
-            shape.fits(table)
-            parts.add(arrow_table(table, schema_of(shape)))
-        parts.finish(schema_of(shape), shape.channel)
 
 
 def join_widened(paths: Sequence[Path], output: Path, schema: Any, channel: str) -> None:

@@ -137,7 +137,11 @@ class JoinedFile:
         if self._kind == "parquet":
             from tipforce_tools.writing import parquet
 
-            parquet.write_part(self._path(number), tables, shape)
+            with parquet.Parts(self._path(number)) as parts:
+                for table in tables:
+                    shape.fits(table)
+                    parts.add(parquet.arrow_table(table, parquet.schema_of(shape)))
+                parts.finish(parquet.schema_of(shape), shape.channel)
             return [(0, len(shape.columns))]
         pieces: Pieces = []
         with self._path(number).open("wb") as file:

@@ -62,8 +62,8 @@ def tables_of_logs(
             yield from recording.tables_of_piece(Piece(local_copy(name)), progress, tap)
             continue
         _, manifest = opened(name)
-        recording.told.notes.append(notes(name, manifest))
-        recording.told.tally.append(tally(manifest))
+        recording.notes.append(notes(name, manifest))
+        recording.tally.append(tally(manifest))
         for table in tables(name, recording.reading):
             recording.numbers_of(table.channels)
             yield table

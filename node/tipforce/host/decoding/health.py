@@ -194,11 +194,7 @@ class HealthRows:
         for key in occurring(table.key):
             rows = np.flatnonzero(table.key == key)
             faults[rows], seen[rows] = self._health.at(key, place[rows])
-        columns, values, absent = (
-            {column.name: column for column in table.columns},
-            dict(table.values),
-            dict(table.absent),
-        )
+        columns, values, absent = {column.name: column for column in table.columns}, {**table.values}, {**table.absent}
         some = int(np.bitwise_or.reduce(seen))
         for name, bit in NAMES.items():
             if some >> bit & 1 and (self._asked is None or name in self._asked):

@@ -174,9 +174,8 @@ def read_log(
     n = _gauges({tip.gauges for tip in given.values()} | ({gauges} if gauges else set()))
     recording = Recording(Reading(Layouts(n), buses=None if channel is None else (channel,), strict=strict))
     tables = list(tables_of_logs(recording, names))
-    told = recording.told
-    if not any(notes.frames for notes in told.notes):
-        raise no_frame(", ".join(names), next((notes.first_bad for notes in told.notes if notes.first_bad), None))
+    if not any(notes.frames for notes in recording.notes):
+        raise no_frame(", ".join(names), next((notes.first_bad for notes in recording.notes if notes.first_bad), None))
     if channel is not None and channel not in recording.channels:
         raise InputError(f"{', '.join(names)}: no frame of channel {channel!r} in it")
     nodes: dict[int, NodeLog] = {}
@@ -187,11 +186,11 @@ def read_log(
             raise InputError(f"{names[0]}: node {node_id} is on several buses; choose a channel: {channels}")
         of_node = (part.take(np.flatnonzero(part.key == key)) for part in tables)
         nodes[node_id] = _node_log(node_id, list(filter(len, of_node)), n, given.get(node_id, given.get(None)))
-    lost = dict.fromkeys(nodes, 0) | {node: count for (_, node), count in told.tally.lost().items()}
-    unseen = [node for _, node in told.unseen if node not in given and None not in given]
+    lost = dict.fromkeys(nodes, 0) | {node: count for (_, node), count in recording.tally.lost().items()}
+    unseen = [node for _, node in recording.unseen if node not in given and None not in given]
     if unseen:
         _log.info("%s: %s", ", ".join(names), reasons.not_seen(unseen))
-    return Log(nodes, lost, sum(sum(notes.bad.values()) for notes in told.notes), unseen)
+    return Log(nodes, lost, sum(sum(notes.bad.values()) for notes in recording.notes), unseen)
 
 
 def _files(pattern: str) -> list[str]:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -34,24 +34,6 @@ Tap = Callable[[FrameArray, Sequence[str]], None]
 """Takes FRAME (n,) and the interfaces by number."""
 Headers = list[tuple[tuple[Column, ...], tuple[str, ...]]]
 """Headers and channels of tables, each time they change."""
-
-
-@dataclass(slots=True)
-class Told:
-    """Results of a decode besides its tables."""
-
-    tally: Tally
-    notes: list[LogNotes]
-    unseen: list[tuple[str, int]] = field(default_factory=list)
-    """Channel and node-id of the nodes of which nothing told bits 12 to 15 of 2124h; empty where none was asked for."""
-    bus: BusEvents = field(default_factory=BusEvents)
-
-    def append(self, other: Told) -> None:
-        """Add the results of logs that follow."""
-        self.tally.append(other.tally)
-        self.notes += other.notes
-        self.unseen = sorted({*self.unseen, *other.unseen})
-        self.bus.found += other.bus.found
 
 
 @dataclass(slots=True)
@@ -89,28 +71,42 @@ class Passed:
 
 
 class Recording:
-    """Tables of a recording, from consecutive logs or from parts that were decoded separately."""
+    """Tables of a recording, from consecutive logs or from parts that were decoded separately, and what else it has."""
 
     def __init__(self, reading: Reading, state: State | None = None) -> None:
         """``state`` as ``state()`` returned it after the parts in front."""
         self.reading = reading
         self.channels: list[str] = []
-        self.told = Told(Tally(), [], bus=BusEvents(reading.layouts.nodes))
+        self.notes: list[LogNotes] = []
+        self.bus = BusEvents(reading.layouts.nodes)
+        self.unseen: list[tuple[str, int]] = []
+        """Channel and node-id of the nodes of which nothing told bits 12 to 15 of 2124h; empty where none was asked."""
         self._counters, self._health = Counters(), HealthRows(reading.signals)
         self._merger = SampleMerger(reading.decoder, self.channels, reading.wanted, follows=bool(reading.layouts.eds))
         if state is not None:
             self._set(state)
-            self.told.bus.states = {(channel, node): code for channel, node, code in state.nmt}
-            self.told.bus.calibrations = {(channel, node): crc for channel, node, crc in state.calibrations}
+            self.bus.states = {(channel, node): code for channel, node, code in state.nmt}
+            self.bus.calibrations = {(channel, node): crc for channel, node, crc in state.calibrations}
+
+    @property
+    def tally(self) -> Tally:
+        """Samples and lost ones, of all rows until now."""
+        return self._merger.tally
+
+    def append(self, other: Recording) -> None:
+        """Add what is known of logs that follow, besides their tables."""
+        self.tally.append(other.tally)
+        self.notes += other.notes
+        self.unseen = sorted({*self.unseen, *other.unseen})
+        self.bus.found += other.bus.found
 
     def resume(self, passed: Passed) -> None:
         """Take over from a recording that began with this one's state and read the next part."""
         self._take_notes(passed.notes)
         self._set(passed.state)
         for frames in passed.services:
-            self.told.bus.add(frames, passed.notes.channels)
-        if joins(self.reading.signals):
-            self.told.unseen = self._health.unseen
+            self.bus.add(frames, passed.notes.channels)
+        self._see()
 
     def _set(self, state: State) -> None:
         self.channels[:] = state.channels
@@ -121,19 +117,17 @@ class Recording:
         self._counters, self._health = Counters(state.counters), HealthRows(self.reading.signals, state.health)
         for key in state.sampled:
             self._health.sampled[key] = place_of(self.channels, key)
-        self.told.tally, merger.tally = Tally.of_rows(state.tally, state.short), Tally()
+        merger.tally = Tally.of_rows(state.tally, state.short)
 
     def state(self) -> State:
         """Return what the next part of the recording depends on."""
         frames, number, syncs = self._merger.open
-        self._take_tally()
-        tally, short = self.told.tally.rows()
-        bus = self.told.bus
+        tally, short = self.tally.rows()
         return State(
             list(self.channels), self._merger.timed, frames.tobytes(), number.tolist(), syncs,
             dict(self._counters.last), self._health.told, list(self._health.sampled),
-            [(*place, code) for place, code in bus.states.items()], tally, short,
-            [(*place, crc) for place, crc in bus.calibrations.items()],
+            [(*place, code) for place, code in self.bus.states.items()], tally, short,
+            [(*place, crc) for place, crc in self.bus.calibrations.items()],
         )  # fmt: skip
 
     def tables_of_piece(
@@ -146,7 +140,7 @@ class Recording:
             for block in source:
                 if tap is not None:
                     tap(block, source.channels)
-                self.told.bus.add(block, source.channels)
+                self.bus.add(block, source.channels)
                 self._merger.timed = before and source.timed
                 yield from self._finished(self._merger.tables(renumbered(block, self.numbers_of(source.channels))))
         except StrictError as error:
@@ -156,7 +150,7 @@ class Recording:
 
     def numbered(self, error: StrictError) -> StrictError:
         """Return the error of a part with the line's number in the whole log."""
-        before = self.told.notes[-1] if error.goes_on and self.told.notes else None
+        before = self.notes[-1] if error.goes_on and self.notes else None
         if before is None or error.bad is None:
             return error
         return StrictError(f"{before.source}: {error.bad.moved(before.lines)}")
@@ -164,9 +158,7 @@ class Recording:
     def finish(self) -> Iterator[Table]:
         """Yield the rows that are still open: the recording ends."""
         yield from self._finished(self._merger.finish())
-        self._take_tally()
-        if joins(self.reading.signals):
-            self.told.unseen = self._health.unseen
+        self._see()
 
     def tables_of_part(self, part: DecodedPart) -> Iterator[Table] | None:
         """The tables of the next part, decoded apart; None (this is then of no use): decode it after those in front."""
@@ -194,15 +186,14 @@ class Recording:
         """Yield the tables with their counters unwrapped and the faults joined, none empty."""
         return filter(len, (self._health.joined(self._counters.unwrapped(table)) for table in tables))
 
-    def _take_tally(self) -> None:
-        self.told.tally.append(self._merger.tally)
-        self._merger.tally = Tally()
+    def _see(self) -> None:
+        self.unseen = self._health.unseen if joins(self.reading.signals) else []
 
     def _take_notes(self, notes: LogNotes) -> None:
-        if notes.goes_on and self.told.notes and self.told.notes[-1].source == notes.source:
-            self.told.notes[-1].append(notes)
+        if notes.goes_on and self.notes and self.notes[-1].source == notes.source:
+            self.notes[-1].append(notes)
         else:
-            self.told.notes.append(notes.copy())
+            self.notes.append(notes.copy())
 
     def numbers_of(self, names: Iterable[str]) -> list[int]:
         """Return the numbers of interfaces; new ones are added. Raises InputError for too many."""
@@ -212,7 +203,21 @@ class Recording:
         return [self.channels.index(name) for name in names]
 
 
-def noting(tables: Iterable[Table], columns: Headers) -> Iterator[Table]:
+T = TypeVar("T")
+
+
+def decode_after(
+    before: State, piece: Piece, reading: Reading, last: bool, take: Callable[[Iterable[Table]], T]
+) -> tuple[Passed, T]:  # fmt: skip
+    """Read a part after those in front. ``take`` takes its rows; return what the part leaves, and what ``take`` did;
+    ``last``: the recording ends with it. Raises as ``Recording.tables_of_piece``."""
+    recording, few, columns = Recording(reading, before), list[FrameArray](), Headers()
+    tables = recording.tables_of_piece(piece, tap=lambda block, _: few.append(services(block)))
+    taken = take(_noting(chain(tables, recording.finish() if last else ()), columns))
+    return Passed(recording.state(), recording.notes[0], few, columns), taken
+
+
+def _noting(tables: Iterable[Table], columns: Headers) -> Iterator[Table]:
     """Yield tables; append their columns and channels each time they change."""
     for table in tables:
         if columns[-1:] != [(table.columns, table.channels)]:
@@ -248,8 +253,7 @@ class DecodedPart:
                 if is_long and merger.sync.settled:
                     self.behind_head, self.head_timed, merger.tally = merger.open, merger.timed, Tally()
                     self.head = [np.concatenate(self.head)]
-            for table in merger.tables(rest) if len(rest) else ():
-                self.kept.add(table)
+            self.kept.extend(merger.tables(rest) if len(rest) else ())
         self.notes = source.copy()
         self.tail, self.tally = merger.open, merger.tally
         if self.behind_head is None:
@@ -257,27 +261,25 @@ class DecodedPart:
 
     def follow(self, before: State, *, last: bool) -> Passed:
         """Return what the part leaves after ``before``; ``last``: the recording ends with it."""
-        recording, columns, found = Recording(self._reading, before), Headers(), self.services
+        recording, columns, channels = Recording(self._reading, before), dict[str, Column](), tuple[str, ...]()
+        if (tables := self._after(recording, last)) is None:  # a log that grows may have more now
+            self.kept, self._again = _Kept(), _Kept()
+            return decode_after(before, self._piece, self._reading, last, self._again.extend)[0]
+        for table in tables:
+            columns |= {column.name: column for column in table.columns}
+            channels = table.channels
+        headers = [(in_order(columns.values(), self._reading.signals), channels)] if channels else []
+        return Passed(recording.state(), recording.notes[0], self.services, headers, apart=True)
+
+    def _after(self, recording: Recording, last: bool) -> Iterator[Table] | None:
         tables = recording.tables_of_part(self)
-        apart = tables is not None
-        if tables is None:  # a log that grows may have more now
-            recording, found, self.kept, self._again = Recording(self._reading, before), [], _Kept(), _Kept()
-            tables = recording.tables_of_piece(self._piece, tap=lambda block, _: found.append(services(block)))
-        for table in noting(chain(tables, recording.finish() if last else ()), columns):
-            if self._again is not None:
-                self._again.add(table)
-        if apart and columns:
-            of_all = {column.name: column for of_table, _ in columns for column in of_table}
-            columns = [(in_order(of_all.values(), self._reading.signals), columns[-1][1])]
-        return Passed(recording.state(), recording.told.notes[0], found, columns, apart)
+        return None if tables is None else chain(tables, recording.finish() if last else ())
 
     def rows(self, before: State, *, last: bool) -> Iterator[Table]:
         """Return all rows that begin in this part, in order, with these arguments of ``follow``."""
         if self._again is None:
-            recording = Recording(self._reading, before)
-            tables = recording.tables_of_part(self)
-            if tables is not None:
-                return chain(tables, recording.finish() if last else ())
+            if (tables := self._after(Recording(self._reading, before), last)) is not None:
+                return tables
             self.follow(before, last=last)  # a cluster moved the part before another copy followed
         return iter(self._again or ())
 
@@ -290,14 +292,15 @@ class _Kept:
         self._bytes = 0
         self._file: Any = None
 
-    def add(self, table: Table) -> None:
-        self._bytes += table.t_ns.nbytes + sum(column.nbytes for column in table.values.values())
-        if self._bytes < _IN_MEMORY_BYTES:
-            self._first.append(table)
-            return
-        if self._file is None:
-            self._file = tempfile.TemporaryFile()  # noqa: SIM115 - closed after the last row
-        pickle.dump(table, self._file, protocol=5)
+    def extend(self, tables: Iterable[Table]) -> None:
+        for table in tables:
+            self._bytes += table.t_ns.nbytes + sum(column.nbytes for column in table.values.values())
+            if self._bytes < _IN_MEMORY_BYTES:
+                self._first.append(table)
+                continue
+            if self._file is None:
+                self._file = tempfile.TemporaryFile()  # noqa: SIM115 - closed after the last row
+            pickle.dump(table, self._file, protocol=5)
 
     def __iter__(self) -> Iterator[Table]:
         yield from self._first
@@ -317,5 +320,4 @@ class _Kept:
 
     def __setstate__(self, state: list[Table]) -> None:
         self.__init__()  # type: ignore[misc]
-        for table in state:
-            self.add(table)
+        self.extend(state)

@@ -130,10 +130,8 @@ class Recovery:
     def _has_booted(self, node_id: int) -> bool:
         """Return whether a finger booted, also where it was silent and the boot-up was lost: 2126h began again."""
         if node_id in self._silent:
-            if (
-                self._connection().sdo(node_id).read(objects.CONFIGURATION_COUNTER)
-                < self._trust.known(node_id)[COUNTER]
-            ):
+            counter = self._connection().sdo(node_id).read(objects.CONFIGURATION_COUNTER)
+            if counter < self._trust.known(node_id)[COUNTER]:
                 self._boots[node_id] += 1
             self._silent.discard(node_id)
         return self._boots[node_id] > self._set_up.get(node_id, 0)
