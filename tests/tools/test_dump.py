@@ -20,6 +20,7 @@ from tipforce.errors import EnvironmentLackError
 from tipforce.host.live import receive
 from tipforce.host.live.receiver import Selection
 from tipforce_tools.cli.listening import open_targets
+from tipforce_tools.cli.main import main
 from tools.rig import Ended, Printed, Tipforce, message, sending
 
 GOOD = """\
@@ -287,7 +288,7 @@ def buses(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, socket.socket]]
 
 
 @pytest.mark.skipif(not receive.AVAILABLE, reason="this system has no recvmmsg of 64 bits")
-def test_socketcan_frames(buses: dict[str, socket.socket], printed: Printed) -> None:
+def test_socketcan_frames(buses: dict[str, socket.socket], capsys: pytest.CaptureFixture[str]) -> None:
     def send() -> None:
         while len(buses) < 2:
             time.sleep(0.005)
@@ -299,9 +300,9 @@ def test_socketcan_frames(buses: dict[str, socket.socket], printed: Printed) -> 
 
     thread = threading.Thread(target=send)
     thread.start()
-    out = printed(0, "dump -x vcan0 can1 -n 7").out
+    assert main(["dump", "-x", "vcan0", "can1", "-n", "7"]) == 0
     thread.join()
-    assert sorted(out.splitlines()) == sorted(
+    assert sorted(capsys.readouterr().out.splitlines()) == sorted(
         [
             "  vcan0  RX - -  285   [8]  2E 11 29 23 9A 11 03 03",
             *2 * ["  vcan0  RX - -       285   [8]  2E 11 29 23 9A 11 03 03"],
