@@ -75,7 +75,10 @@ def shortened(text: str, length: int = 120) -> str:
     return text[: text.rindex(" ", 0, length)].rstrip(" ,;:(") + " ..."
 
 
-AREAS = ("contact", "layout", "gauges", "filters", "calibration", "fit", "wire", "clock", "dynamics", "impact")
+AREAS = (
+    "contact", "uncertainty", "layout", "gauges", "filters", "calibration", "fit", "wire", "clock", "dynamics",
+    "impact",
+)  # fmt: skip
 """Modules of this folder, in the order of the report."""
 RECORD = Path(__file__).parents[2] / "tools" / "tipforce_lab" / "report" / "cases.jsonl"
 

@@ -7,17 +7,18 @@ from tipforce_tools.cli.completion import root_parser
 from tipforce_tools.cli.main import all_parsers
 
 
-def parsers(
-    parser: argparse.ArgumentParser, path: str = "tipforce"
-) -> Iterator[tuple[str, argparse.ArgumentParser, list[str]]]:
-    """Each command line, its parser, and its commands or actions; none where flags and values follow."""
-    subparsers = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
-    choices = subparsers[0].choices if subparsers else {}
-    yield path, parser, list(choices)
-    for name, one in choices.items():
-        yield from parsers(one, f"{path} {name}")
+def lines(parser: argparse.ArgumentParser, path: str = "tipforce") -> Iterator[tuple[str, argparse.ArgumentParser]]:
+    """Each command line with its parser, before those of its commands or actions."""
+    yield path, parser
+    for name, below in choices(parser).items():
+        yield from lines(below, f"{path} {name}")
 
 
-_ALL = list(parsers(root_parser("bash", all_parsers())))
-LINES = {path: names for path, _, names in _ALL}
-PARSERS = {path: parser for path, parser, names in _ALL if not names}
+def choices(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    """The commands or actions of a parser; none where flags and values follow."""
+    return next((dict(a.choices) for a in parser._actions if isinstance(a, argparse._SubParsersAction)), {})
+
+
+ALL = dict(lines(root_parser("bash", all_parsers())))
+LINES = {path: list(choices(parser)) for path, parser in ALL.items()}
+PARSERS = {path: parser for path, parser in ALL.items() if not choices(parser)}

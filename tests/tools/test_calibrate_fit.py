@@ -48,7 +48,12 @@ def data(sim: Simulated, tmp_path: Path) -> Path:
 @pytest.fixture
 def fitted(printed: Printed) -> Fitted:
     """The record of `calibrate fit` with these words."""
-    return lambda *words: printed(0, ["calibrate", "fit", *words, "--json"]).records[0]
+
+    def fit(*words: object) -> dict[str, Any]:
+        (line,) = printed(0, ["calibrate", "fit", *words, "--json"]).out.splitlines()
+        return dict(json.loads(line))
+
+    return fit
 
 
 def test_text_tells_all(data: Path, sim: Simulated, printed: Printed) -> None:
