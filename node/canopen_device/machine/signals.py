@@ -178,8 +178,7 @@ def recorded(path: str | Path, column: str, time_column: str = "t_s", repeats: b
     for name in (time_column, column):
         if name not in rows[0]:
             raise InputError(f"{path}: no column {name!r}; there are {', '.join(rows[0])}")
-    times: list[float] = []
-    values: list[float] = []
+    track = Recorded(repeats=repeats)
     for number, row in enumerate(rows, 2):
         try:
             time_s, value = float(row[time_column]), float(row[column])
@@ -187,8 +186,8 @@ def recorded(path: str | Path, column: str, time_column: str = "t_s", repeats: b
             raise InputError(
                 f"{path}:{number}: {row[time_column]!r}, {row[column]!r}: two numbers are needed"
             ) from None
-        if not (math.isfinite(time_s) and math.isfinite(value)) or (times and time_s < times[-1]):
+        if not (math.isfinite(time_s) and math.isfinite(value)) or (track.t_s and time_s < track.t_s[-1]):
             raise InputError(f"{path}:{number}: time {time_s:g}, value {value:g}: finite, and no time before the last")
-        times.append(time_s)
-        values.append(value)
-    return Recorded(times, values, repeats)
+        track.t_s.append(time_s)
+        track.values.append(value)
+    return track

@@ -42,7 +42,6 @@ class Device(NamedTuple):
     """The real directory, place included: another device that gets the same number has another path."""
 
     def __str__(self) -> str:
-        """Return the number and the other names of the device."""
         others = dict.fromkeys(word for word in (self.name, self.label, self.place) if word)
         return f"{self.number} ({', '.join(others)})" if others else self.number
 

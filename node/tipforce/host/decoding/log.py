@@ -158,7 +158,7 @@ def read_log(
 ) -> Log:
     """Decode one or more logs of any format that `tipforce decode` reads, in sequence, also by a pattern: "run*.log".
 
-    ``calibration``: one, or by node-id: with all gauges P, phi and theta are estimated, else their uncertainties.
+    ``calibration``: one, or by node-id: it estimates P, phi and theta from all gauges, else gives their uncertainties.
     ``gauges``: default the calibration's, or 3. ``channel``: of several buses. ``strict``: raise at the first bad line.
     Raises InputError for an unusable log, no frame, an unknown channel, a node on two buses, other gauges.
     """
