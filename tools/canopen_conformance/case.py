@@ -55,12 +55,8 @@ class Product(NamedTuple):
 
 @dataclass(frozen=True)
 class Case:
-    """One check.
-
-    ``needs`` are the (index, sub-index) that must exist. ``persistent``: stores parameters or temporarily changes the
-    node-id. ``own``: for devices of the caller's Product alone. ``error_frames``: needs the controller's error frames,
-    which a bus does not carry.
-    """
+    """One check. ``needs``: the (index, sub-index) that must exist. ``persistent``: stores parameters or changes the
+    node-id. ``own``: for devices of the caller's Product alone. ``error_frames``: needs those of the controller."""
 
     name: str
     clause: str
@@ -101,11 +97,9 @@ class Service:
         persistent: bool = False,
         error_frames: bool = False,
     ) -> Callable[[Callable[..., object]], Callable[..., object]]:
-        """Declare a case by its steps, called with the Dut in their order; without steps, by the decorated function.
-
-        With ``each`` one per row: arguments of the function after the Dut, and of clause and title. A header without a
-        name is named as the function, without the service.
-        """
+        """Declare a case by its steps, called with the Dut in their order; without steps, by the decorated function,
+        after which a header without a name is named. ``each``: one case per row, arguments after the Dut, of clause and
+        of title."""
         match = _HEADER.fullmatch(header)
         if match is None:
             raise ValueError(f"{header!r}: the form of a case is 'name clause: title'")

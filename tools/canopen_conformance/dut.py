@@ -36,11 +36,9 @@ def _fits(data: bytes, wanted: Wanted) -> bool:
 
 
 class Dut:
-    """One device on a link, with its present node-id. ``product``: of the caller's own cases, if it has any.
-
-    ``pdo_id``: CAN-ID of the PDO that a case has set up. ``upload_index``: object of the upload that it has begun.
-    Received frames that no check has consumed stay pending. An identifier may be one of ``wire.EMCY`` to ``wire.PDO``.
-    """
+    """One device on a link. ``product``: of the caller's own cases. ``pdo_id``, ``upload_index``: of the PDO and the
+    upload that a case has begun. Frames that no check has consumed stay pending. Identifiers: also ``wire.EMCY`` to
+    ``wire.PDO``."""
 
     def __init__(self, link: Link, node_id: int, product: Product | None = None) -> None:
         self.link = link
@@ -164,11 +162,8 @@ class Dut:
             self.reset(self._reset_command)
 
     def measure_resets(self) -> None:
-        """Reset the device. If reset node is slow and reset communication is faster, ``refresh`` uses the latter.
-
-        It restores what the cases change on any device: the communication parameters. Raises LostDeviceError if the
-        device does not boot.
-        """
+        """Reset the device. If reset node is slow and reset communication, which restores what the cases change, is
+        faster, ``refresh`` uses the latter. Raises LostDeviceError if the device does not boot."""
         times_us = {}
         for command in (wire.RESET_NODE, wire.RESET_COMMUNICATION):
             start_us = self.now_us

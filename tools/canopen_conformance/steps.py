@@ -1,8 +1,5 @@
-"""The steps of a case as values: ``do.put("H", 0x1017, 0, 20)`` calls ``Dut.put`` so when the case runs.
-
-A step is any function of the Dut: a case is a sequence of them, or one function of its own. Arguments that only the
-running case knows are ``late``.
-"""
+"""The steps of a case as values: ``do.put("H", 0x1017, 0, 20)`` calls ``Dut.put`` so when the case runs. A step is any
+function of the Dut; arguments that only the running case knows are ``late``."""
 
 import math
 import struct

@@ -91,8 +91,7 @@ class Core(Protocol):
 
 
 class CoreLink:
-    """A device core whose clock advances only by waiting. ``steps`` keeps (now_us, frames in, frames out).
-    ``tolerance_ms`` is the permitted timing error."""
+    """A device core whose clock advances by waiting only. ``steps``: (now_us, in, out). ``tolerance_ms``: of times."""
 
     tolerance_ms = 0
     error_frames = True

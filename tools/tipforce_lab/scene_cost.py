@@ -1,5 +1,4 @@
-"""Run time and import time of each part of a scene: the scene with the part against that without it (and without the
-parts that depend on it)."""
+"""Run time and import time of each part of a scene: against the scene without it and the parts that depend on it."""
 
 import math
 import subprocess
@@ -26,10 +25,8 @@ _LENGTHEN = 4  # ratio of the long run to the short run of a pair: their differe
 
 
 Cost = dict[str, float | None]
-"""us_per_sample: difference with and without the part; for "nodes" the rest without all other parts. Never negative:
-see nondecreasing(). ms_per_run: the same for work that does not grow with the samples: set-up, opening, drawing.
-import_ms: of the modules that no earlier part imports. None if the part is left out, or cannot be removed alone. A
-sample is one node at one SYNC."""
+"""us_per_sample (a node at a SYNC): with less without the part, never negative; of "nodes" the rest. ms_per_run: the
+same for set-up and drawing. import_ms: of modules that no earlier part imports. None: cannot be removed alone."""
 
 
 def part_costs(scene: schema.Scene, path: Path, samples: int = 300, runs: int = 3) -> dict[str, Cost]:

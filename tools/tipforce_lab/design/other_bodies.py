@@ -1,7 +1,5 @@
-"""The comparators [5] and [11], other materials and smaller bodies: strain, noise and largest load, by beam theory. The
-material values are typical ones of data sheets (assumed: the paper names AISI 4340 alone, without values); replace them
-by those of the sheet that is bought. Yield is static; repeated loads need a fatigue limit.
-"""
+"""The comparators [5] and [11], other materials and smaller bodies, by beam theory. Material values are typical ones of
+data sheets (assumed: the paper names AISI 4340 alone). Yield is static; repeated loads need a fatigue limit."""
 
 import math
 from dataclasses import replace

@@ -1,7 +1,6 @@
-"""The figures of `tipforce design`. Deterministic: the same numbers and matplotlib give the same bytes. The text of the
-paper does not define the outline of its figure 2. Assumed: the tip is a half disc, flat side down, with two legs down
-to the outer ends of the horizontal beam; the vertical beam is between the joint and a block, the fixture.
-"""
+"""The figures of `tipforce design`; the same numbers and matplotlib give the same bytes. Assumed, as the text of the
+paper does not define figure 2: the tip is a half disc with legs to the ends of the horizontal beam, the fixture a
+block."""
 
 from __future__ import annotations
 
@@ -40,11 +39,9 @@ STYLES: tuple[dict[str, Any], ...] = tuple(
 
 
 def draw(what: str, directory: Path, kind: str, noise: float, repeats: int, seed: int) -> Iterator[Path]:
-    """Draw the sections of `design table` named ``what``, or "all"; yield each path. kind: svg or png. noise
-    (microstrain), repeats, seed: of figure 9.
-
-    Raises EnvironmentLackError without matplotlib, InputError for the directory.
-    """
+    """Draw the sections of `design table` named ``what``, or "all"; yield each path. kind: svg or png; noise
+    (microstrain), repeats, seed: of figure 9. Raises EnvironmentLackError without matplotlib, InputError for the
+    directory."""
 
     makers: dict[str, list[tuple[str, Callable[[], Figure]]]] = {
         "1": [("cross-section", cross_section)],

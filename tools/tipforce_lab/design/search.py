@@ -255,11 +255,8 @@ def search(
     seed: int = 0,
     done: Callable[[], None] = lambda: None,
 ) -> list[Design]:
-    """Return the best design of each configuration that has one within the limits, the best first. done is called after
-    each start.
-
-    Raises InputError for values out of range or if no start ends within the limits, EnvironmentLackError without scipy.
-    """
+    """Return the best design of each configuration, the best first; done is called after each start. Raises InputError
+    for values out of range or if no start ends within the limits, EnvironmentLackError without scipy."""
     if starts < 1:
         raise InputError(f"{starts} starts: allowed is 1 or more")
     goal = score(objective, limits.load_newtons)
@@ -287,10 +284,9 @@ def trade_off(
     limits: Limits,
     done: Callable[[], None] = lambda: None,
 ) -> list[Design]:
-    """Return designs between the best one for an objective and the one of the least condition number, which has a
-    ceiling (TRADE_OFF_STEPS of the way, as a penalty). Each optimum is the start of the next: downwards from best and
-    others, upwards from least. Raises as search() does.
-    """
+    """Return designs between the best one for an objective and the one of the least condition number, whose ceiling is
+    TRADE_OFF_STEPS of the way: downwards from best and others, upwards from least, each the start of the next. Raises
+    as search()."""
     goal, condition = score(objective, limits.load_newtons), score("condition", limits.load_newtons)
     begins = [
         (Problem([gauge._replace(position_m=0.0) for gauge in design.gauges], limits), point_of(design))

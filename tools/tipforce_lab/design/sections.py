@@ -80,10 +80,9 @@ class GrooveErrors:
 def simulate_groove_errors(
     geometry: Geometry, gauges: Layout, noise_strain: float, *, repeats: int, seed: int
 ) -> GrooveErrors:
-    """Return the errors caused by equal, independent, normal gauge noise at the paper's grooves: each repeat fits V = A
-    F to noisy readings in the grooves between 0 and 90 degrees, as section 4.3 does, inverts A, then reads every groove
-    once more. noise_strain: standard deviation per reading of the three gauges.
-    """
+    """Return the errors by equal, independent, normal gauge noise (standard deviation of a reading of three gauges) at
+    the paper's grooves: each repeat fits V = A F in those of 0 to 90 degrees (section 4.3), then reads every groove
+    once."""
     A = strain_matrix(geometry, gauges)
     rng, P_newtons, grooves = np.random.default_rng(seed), CALIBRATION_WEIGHT_NEWTONS, paper_grooves()
     F = force_vector(P_newtons, grooves.phi_rad, grooves.theta_rad)

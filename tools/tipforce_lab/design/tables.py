@@ -149,8 +149,7 @@ def table_3(geometry: Geometry, gauges: Layout) -> Table3Row:
 
 
 def condition_numbers_by_unit(geometry: Geometry, gauges: Layout) -> dict[str, float]:
-    """Return the condition number with F2 as the force M / r (the paper's), and with the moment in N mm and N m. Raises
-    InputError for an unusable layout."""
+    """Return the condition number with F2 as M / r (the paper's), and as moment in N mm and N m. Raises InputError."""
     return {unit: condition_at_length(geometry, gauges, u) for unit, u in moment_units(geometry).items()}
 
 
@@ -249,10 +248,7 @@ def nearest_common_shifts(
 
 def nearest_common(rows: Mapping[str, FloatArray], conditions: Mapping[str, float]) -> tuple[dict[str, int], float]:
     """Return (index of the place of each gauge, largest miss) that best fit the condition numbers of the cases. rows:
-    strain per newton (m, 3) of K, S, L, R, U at m places each.
-
-    Case I holds K, S and U, case II L, S and U, case III L, R and U, so K and R can be chosen last, each alone.
-    """
+    strain per newton (m, 3) of K, S, L, R, U at m places each. K (case I) and R (III) are chosen last, each alone."""
     missed = {}
     for case in CASES:
         first, second, third = (rows[point] for point in LAYOUTS[case])

@@ -1,8 +1,6 @@
-"""Impact of a body on the tip, or of the finger on a stop: contact force and times, and the gauges' readings. Linear
-contact is exact (switched.py), Hertzian contact scipy's DOP853; it starts at time 0, may open and close again, and is
-lossless. States: omega q and q' of every mode (mass-normalised), overlap and speed of the body, the load and its rate,
-and a constant, scaled so that energy is half the sum of their squares.
-"""
+"""Impact of a body on the tip, or of the finger on a stop. Linear contact is exact (switched.py), Hertzian contact
+scipy's DOP853; it starts at time 0, may open and close again, and is lossless. States: omega q and q' of every mode,
+overlap and speed of the body, the load and its rate, and a constant; energy is half the sum of squares."""
 
 from __future__ import annotations
 
@@ -142,11 +140,8 @@ class Impact(NamedTuple):
 def impact(
     modes: Modes | None, striker: Striker, until_s: float, times_s: npt.ArrayLike = (), slit: SlitStop | None = None
 ) -> Impact:
-    """Return the course of an impact, structure at rest at 0. modes: None is rigid ground. times_s: (m,), 0 to until_s.
-
-    Raises InputError for times out of range, too many steps, a Hertzian contact with a slit; EnvironmentLackError for a
-    Hertzian contact without scipy.
-    """
+    """Return an impact on a structure at rest; modes None: rigid ground. times_s: (m,), 0 to until_s. Raises InputError
+    for times, too many steps, a Hertzian contact with a slit; EnvironmentLackError for a Hertzian one without scipy."""
     t = floats("times_s", times_s).reshape(-1)
     if not 0.0 < until_s < math.inf:
         raise InputError(f"until_s = {until_s!r}: allowed is a positive finite number")

@@ -1,7 +1,5 @@
-"""Integrators of other kinds, for comparison only: all other modules use first_order_hold.py; and the error of none.
-All return the elastic force (m, 3) at the times (m,), infinite or NaN where a run is unstable. None uses the linearity
-between events; a contact is a force that is 0 while open. closed_form() is their reference.
-"""
+"""Other integrators, for comparison with first_order_hold.py alone, closed_form() as reference; and the error of none.
+All return the elastic force (m, 3) at times (m,), infinite or NaN if unstable; an open contact is a force of 0."""
 
 import math
 from collections.abc import Callable
@@ -57,8 +55,7 @@ def no_load(time_s: float) -> FloatArray:
 
 
 def runge_kutta_4(problem: Problem, load: Load, times_s: npt.ArrayLike) -> FloatArray:
-    """Integrate by the classic method, order 4, one step from each time to the next. Stable without damping up to omega
-    h = 2 sqrt(2); see rk4_stability_limit()."""
+    """Integrate by the classic method, order 4, a step from time to time, stable up to rk4_stability_limit()."""
     t = _times(times_s)
     X, elastic = problem.start, [problem.output @ problem.start]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -79,8 +76,7 @@ def newmark(problem: Problem, load: Load, times_s: npt.ArrayLike) -> FloatArray:
 
 
 def generalised_alpha(problem: Problem, load: Load, times_s: npt.ArrayLike, rho_inf: float = 0.8) -> FloatArray:
-    """Integrate as Chung and Hulbert (1993): order 2, stable at any step; rho_inf, 0 to 1, is the factor per step of a
-    mode that is far too fast for it."""
+    """Integrate as Chung and Hulbert (1993): order 2, stable; rho_inf, 0 to 1: factor a step of a far too fast mode."""
     return _alpha(problem, load, times_s, (2.0 * rho_inf - 1.0) / (rho_inf + 1.0), rho_inf / (rho_inf + 1.0))
 
 

@@ -1,7 +1,6 @@
-"""Plane elasticity of the body with scikit-fem: P2 triangles, one sparse factorisation for three loads; and what gauges
-read of it: the difference of displacement between a gauge's ends over its length, finite also next to a re-entrant
-corner, where strain is infinite. Young's modulus and the width are 1 inside, and divided by at the end.
-"""
+"""Plane elasticity of the body with scikit-fem: P2 triangles, one sparse factorisation for three loads. A gauge reads
+the difference of displacement between its ends, finite also at a re-entrant corner. Young's modulus and width are 1
+inside."""
 
 import math
 from collections.abc import Sequence
@@ -75,8 +74,7 @@ class Solution:
 
 
 def solve(model: Model) -> Solution:
-    """Mesh, assemble, factorise once, solve for three loads. Raises InputError if the patch contains no side of the
-    mesh, EnvironmentLackError without scikit-fem."""
+    """Solve for three loads. Raises InputError if the patch holds no side of the mesh, EnvironmentLackError."""
     try:
         from scipy.sparse.linalg import splu
         from skfem import Basis, ElementTriP2, ElementVector, MeshTri
@@ -218,10 +216,9 @@ def face(solution: Solution, gauge: GaugePosition) -> Face:
 
 
 def strain_matrix(solution: Solution, gauges: Sequence[Gauge], gauge_length_m: float = GAUGE_LENGTH_M) -> FloatArray:
-    """Return the strain per newton of F, (n, 3), tension positive, averaged over the length of each gauge; at a point
-    (length 0) it converges away from corners only. gauges: positions of their middles, or points of Table 1, replaced
-    by nearest_place(). Raises InputError for a gauge that reaches beyond its face.
-    """
+    """Return the strain per newton of F, (n, 3), tension positive, averaged over each gauge; at a point (length 0) it
+    converges away from corners only. Points of Table 1: at nearest_place(). Raises InputError for a gauge beyond its
+    face."""
     if not 0.0 <= gauge_length_m < np.inf:
         raise InputError(f"gauge_length_m = {gauge_length_m!r}: allowed is 0 (a point) or more, finite")
     rows = [_row(solution, gauge, gauge_length_m) for gauge in gauges]
@@ -322,11 +319,8 @@ def extrapolate_matrix(values: Sequence[FloatArray]) -> tuple[FloatArray, float]
 
 
 def corner_exponent(material_angle_rad: float, mode: str) -> float:
-    """Return lambda, displacement ~ r^lambda, of a corner with free faces (Williams 1952); 270 degrees: 0.5445, 0.9085.
-
-    The smallest root above 1/2 of sin(lambda w) + s lambda sin(w) = 0, s = 1 (opening) or -1 (sliding), w the angle of
-    material. Raises InputError for an unknown mode, or an angle at which it is not singular.
-    """
+    """Return lambda, displacement ~ r^lambda, of a corner with free faces (Williams 1952): the smallest root above 1/2
+    of sin(lambda w) + s lambda sin(w) = 0, s = 1 (opening) or -1 (sliding). Raises InputError if it is not singular."""
     from scipy.optimize import brentq
 
     if mode not in MODES:

@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 
 
 def write(report: Report, directory: Path, json_line: Callable[[dict[str, Any]], str]) -> list[Path]:
-    """Write index.html, report.jsonl and a KEY.svg for each study. Raises InputError, WriteError. json_line: from a
-    record to its line of report.jsonl, without the newline."""
+    """Write index.html, report.jsonl (by ``json_line``) and a KEY.svg for each study. Raises InputError, WriteError."""
     items: list[Item] = [*report.studies, *report.grids, *report.cases, *report.left_out]
     records = [text.head_record(report) | text.conclusions(report), *map(text.record, items)]
     lines = "".join(json_line(record) + "\n" for record in records)

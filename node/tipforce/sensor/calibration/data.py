@@ -18,11 +18,8 @@ from tipforce.sensor.structure.strain import Gauge, gauge_matrix
 def require_no_rail(
     strain: FloatArray, loads: FloatArray, saturation_strain: npt.ArrayLike | None, lines: IntArray | None = None
 ) -> None:
-    """Raise InputError for an extreme of a gauge, or of all gauges, that looks like a converter's limit: in rows of
-    different loads or in three rows, more often than other readings (rounded ones repeat).
-
-    strain: (m, n); loads: (m, 3), P, phi, theta; saturation_strain: as of Model; lines: (m,), to name.
-    """
+    """Raise InputError for an extreme of a gauge, or of all, that looks like a converter's limit: in rows of different
+    loads or in three rows, more often than others. strain (m, n), loads (m, 3): P, phi, theta, lines (m,), to name."""
     limit = np.broadcast_to(floats("rail", np.inf if saturation_strain is None else saturation_strain), strain.shape[1])
     if saturation_strain is not None and np.isinf(limit).all():
         return
@@ -111,8 +108,8 @@ class Model:
     noise_strain: float | FloatArray | None = None
     """Standard deviation of a gauge reading, if it is known (scalar or (n,)); None: estimated from the residuals."""
     saturation_strain: float | FloatArray | None = None
-    """Converter limit (scalar or (n,)): readings at or beyond it are left out. inf: there is none. None: not known, and
-    an extreme reading that repeats is refused."""
+    """Converter limit (scalar or (n,)), readings at it are left out. inf: none. None: unknown, a repeated one is
+    refused."""
     prior: Prior | None = None
 
 

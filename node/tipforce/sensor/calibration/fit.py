@@ -1,5 +1,4 @@
-"""Calibration: from readings under known loads to C, its offsets and its uncertainty. The gauges are the noisy side: V
-= A F + b is fitted, then inverted (the paper fits F = C V)."""
+"""Calibration: from readings under known loads to C, offsets and uncertainty. V = A F + b is fitted and inverted."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -120,8 +120,7 @@ class Fit:
     hang_scatter: float
     """The same of the angle errors that are new in every row."""
     hold_out_score: float
-    """Sum over the rows of the logarithm of how likely each is by the fit without it, an outlier as one at the border.
-    Of fits to the same readings the larger is the better."""
+    """Sum over rows of the log likelihood by the fit without each, outliers at the border; the larger is the better."""
     converged: bool = True
     """False: the steps ended before the numbers settled."""
     nonlinearity: Nonlinearity | None = None
@@ -155,11 +154,10 @@ def covariance_of_estimate(
     *,
     offset_known: bool = False,
 ) -> FloatArray:
-    """Return C (Sigma_V + Q(F)) C^T (..., 3, 3), the covariance of F = C (V - b), N^2: Q(F)_kl = G^T cov(row k, row l)
-    G, G = (F, 1); offset_known: after a tare the 1 drops out (its own noise belongs into noise_covariance).
+    """Return C (Sigma_V + Q(F)) C^T (..., 3, 3), N^2, the covariance of F = C (V - b): Q(F)_kl = G^T cov(row k, row l)
+    G, G = (F, 1). offset_known: after a tare the 1 drops out, and its own noise belongs into noise_covariance.
 
-    C: (3, n). noise_covariance: (n, n), strain^2. parameter_covariance: (n, 4, n, 4). F: (..., 3). Raises InputError
-    for other shapes.
+    C: (3, n). noise_covariance: (n, n), strain^2. parameter_covariance: (n, 4, n, 4). F: (..., 3); else InputError.
     """
     matrix, F = floats("C", C), floats("F", F_newtons)
     n = matrix.shape[-1]

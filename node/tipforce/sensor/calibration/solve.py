@@ -1,8 +1,5 @@
-"""Generalised least squares for V = A F + b with noise that differs from row to row, its variances estimated (REML),
-and how much of the stated scatter of a load's direction is an angle of the groove (a random effect), and of each row.
-Rows are whitened, the groove's effect is taken off by a square root of its marginal covariance, the rest is solved by
-QR.
-"""
+"""Generalised least squares for V = A F + b with noise that differs from row to row: its variances, and those of a
+load's direction by groove and by row, are estimated (REML). Whitened rows are solved by QR."""
 
 from __future__ import annotations
 

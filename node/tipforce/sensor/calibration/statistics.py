@@ -260,12 +260,9 @@ FALSE_ALARM_RATE = 1e-6
 def redundancy_limit(
     A: FloatArray, Sigma: FloatArray, parameter_covariance: FloatArray, dof: float, largest_newtons: float
 ) -> float:
-    """Return the limit of chi-square (2116h) for one false alarm in a million samples; 0 for three gauges.
-
-    A: (n, 3), strain per newton; Sigma: (n, n), of one reading, known with ``dof`` degrees of freedom (Hotelling);
-    parameter_covariance: (n, 4, n, 4), at the worst load up to ``largest_newtons``. Raises InputError for a covariance
-    that is not positive definite, or dof of n - 2 or less.
-    """
+    """Return the limit of chi-square (2116h) for one false alarm in a million samples; 0 for three gauges. A (n, 3),
+    strain per newton; Sigma (n, n), known with ``dof`` (Hotelling); parameter_covariance (n, 4, n, 4), at the worst
+    load. Raises InputError for a Sigma that is not positive definite, or dof of n - 2 or less."""
     n = len(A)
     if n == 3:
         return 0.0

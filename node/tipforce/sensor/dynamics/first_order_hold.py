@@ -40,8 +40,7 @@ class Hold(NamedTuple):
 
 
 def hold(x: float, zeta: float) -> Hold:
-    """Return the coefficients for x = omega h >= 0 and the damping ratio zeta >= 0, both finite. Relative error of the
-    response about 1e-15, from x = 1e-150 to 1e300."""
+    """Return the coefficients for x = omega h and zeta, 0 or more and finite: to 1e-15 for x from 1e-150 to 1e300."""
     if x == 0.0:
         return Hold(1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
     s, step, ramp, p22 = _responses(x, zeta)
@@ -162,10 +161,8 @@ def node_coefficients(modes: Modes, step_s: float) -> Coefficients:
 
 
 def respond(modes: Modes, loads_newtons: npt.ArrayLike, step_s: float, start: State | None = None) -> Response:
-    """Return the elastic force at every sample of a load (m, 3), ``step_s`` apart, m at least 1; not finite after a
-    load that is not. start: the state at the first sample, ``at_rest`` if None. Raises InputError for other shapes, or
-    a step out of range.
-    """
+    """Return the elastic force at every sample of a load (m, 3), ``step_s`` apart; not finite after a load that is not.
+    start: at the first sample, None: ``at_rest``. Raises InputError for other shapes, or a step out of range."""
     F = checked_loads(loads_newtons)
     held = np.array(holds(modes, step_s))
     g = F @ modes.load_shape.T
@@ -184,10 +181,9 @@ def checked_loads(loads_newtons: npt.ArrayLike) -> FloatArray:
 
 
 def _scan(held: FloatArray, drive: FloatArray, start: State) -> tuple[FloatArray, FloatArray]:
-    """Return all states (m, n) of the recurrence, in blocks, 2 sqrt(m) passes through Python instead of m: all start
-    from zero at once, then the state at the end of each is carried to the next, its free motion by powers of the step's
-    matrix (multiples of the step would round, which thousands of radians per step would show).
-    """
+    """Return all states (m, n) of the recurrence, in blocks that start from zero at once: 2 sqrt(m) passes through
+    Python instead of m. The end of each block is carried on by powers of the step's matrix; multiples of a step would
+    round."""
     steps, n = drive.shape[1:]
     if steps == 0:
         return start.position[np.newaxis], start.velocity[np.newaxis]

@@ -1,8 +1,6 @@
-"""The tip on its beams as an oscillator: masses, modes, and the transfer from force to gauge readings. The tip is
-rigid, a half cylinder of steel; joint and beams are massless by default: then three modes remain, and all gauges
-measure one elastic force. With mass there are six, and the gauges of arms and vertical beam differ. Coordinates: y =
-(v, r rotation, u), conjugate to F, in metres. Small motions; no gravity; damping is an assumed ratio per mode.
-"""
+"""The tip on its beams as an oscillator. The tip is a rigid half cylinder of steel; with massless joint and beams three
+modes remain, and all gauges measure one elastic force; with mass six, and arms and vertical beam differ. Coordinates: y
+= (v, r rotation, u), conjugate to F, in metres. Small motions, no gravity, an assumed damping ratio per mode."""
 
 from __future__ import annotations
 
@@ -92,12 +90,9 @@ def modes(
     joint: RigidBody | None = None,
     beam_density_kg_m3: float = 0.0,
 ) -> Modes:
-    """Return the modes of one body: 3 if joint and beams are massless, else 6. damping_ratio: one for all or for each,
-    lowest first. tip: by default half_cylinder(geometry). joint: a rigid block at the origin. beam_density_kg_m3: 0
-    neglects it.
-
-    Raises InputError for a body beyond floating point, or unfit damping ratios.
-    """
+    """Return the modes of one body, 3 if joint and beams are massless, else 6. damping_ratio: one, or one per mode,
+    lowest first. tip: by default half_cylinder(). joint: a block at the origin. Raises InputError for a body beyond
+    floating point, or unfit ratios."""
     if not 0.0 <= beam_density_kg_m3 < math.inf:
         raise InputError(f"beam_density_kg_m3 = {beam_density_kg_m3!r}: allowed is 0 (neglected) or more, finite")
     frame, r = Frame(geometry), geometry.r_m
@@ -199,9 +194,8 @@ _SWEEPS = 60
 
 
 def jacobi(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (values (n,), vectors (n, n) as columns), largest value first, by Jacobi's rotations: unlike
-    numpy.linalg.eigh, small eigenvalues keep their digits, a thin beam's beside a thick one's (Demmel, Veselic 1992).
-    """
+    """Return (values (n,), vectors (n, n) as columns), largest first, by Jacobi's rotations: unlike numpy.linalg.eigh,
+    small eigenvalues keep their digits (Demmel, Veselic 1992)."""
     A, Q = matrix.copy(), np.eye(len(matrix))
     pairs = [(i, j) for i in range(len(A)) for j in range(i + 1, len(A))]
     for _ in range(_SWEEPS):

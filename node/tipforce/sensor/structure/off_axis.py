@@ -1,9 +1,8 @@
 """Loads out of the plane: their effect on the gauges by a three-dimensional beam model (section 3.3 of the paper). x
-along the horizontal beam, y from the fixture to the tip, z along the width; origin at the middle of the horizontal
-beam. Rigid tip and joint; Euler-Bernoulli bending in both planes, axial force, St Venant's torsion, with warping free,
-or (Vlasov) restrained at every beam end: then the shear of torsion vanishes there, but an axial strain y z phi''
-replaces it, to which a gauge off the centre line responds. Neglected: shear, compliance of the rest, corners.
-"""
+along the horizontal beam, y from the fixture to the tip, z along the width; origin in the middle of the horizontal
+beam. Rigid tip and joint; Euler-Bernoulli bending, axial force, St Venant's torsion with warping free, or (Vlasov)
+restrained at every beam end: the shear of torsion then gives way to an axial strain y z phi''. Neglected: shear,
+corners."""
 
 import itertools
 from math import cos, exp, pi, sin, sqrt, tanh
@@ -134,11 +133,8 @@ def apparent_force(
     warping_held: bool = False,
     inward_m: float = 0.0,
 ) -> ApparentForce:
-    """Return the force that a planar calibration computes from unwanted wrenches (m, 6), the worst.
-
-    Every gauge is misplaced by the two amounts, with the worst signs, and calibrated in the plane there. inward_m: of
-    the gauges' middles from the fixed ends. Raises InputError for an unusable layout, or wrenches of another shape.
-    """
+    """Return the worst force that a planar calibration computes from unwanted wrenches (m, 6). Every gauge is misplaced
+    by the two amounts, with the worst signs, and calibrated there; inward_m: from the fixed ends. Raises InputError."""
     nominal = [nominal_position(geometry, point) for point in layout(gauges)]
     places = [place._replace(position_m=abs(place.position_m - inward_m)) for place in nominal]
     wrenches = np.atleast_2d(floats("wrenches", wrenches))

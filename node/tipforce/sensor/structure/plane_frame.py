@@ -1,10 +1,9 @@
-"""A plane frame by the direct stiffness method, an independent model of the body, and the loads that a body stands.
-Three rigid bodies (fixture, joint, tip) and three elastic beams of one element each: the vertical beam and the two arms
-of the horizontal one. x to the right, y away from the fixture; tension is positive. EULER_BERNOULLI (rigid roots, joint
-without width) equals Table 1 of the paper to rounding.
+"""A plane frame by the direct stiffness method, an independent model of the body: fixture, joint and tip are rigid, the
+vertical beam and both arms elastic. x to the right, y away from the fixture; tension is positive. EULER_BERNOULLI
+equals Table 1 to rounding.
 
-The unknowns are the motion of the joint relative to the fixture and of the tip relative to the joint: then no stiffness
-is added to one 1e14 times smaller, and with diagonal scaling a body of 1 nm thickness is solved to rounding.
+The unknowns are the motions of the joint relative to the fixture and of the tip relative to the joint: no stiffness is
+added to a far smaller one, and with diagonal scaling a body of 1 nm thickness is solved to rounding.
 """
 
 import math
@@ -92,16 +91,12 @@ class Frame:
         self._scale = geometry.width_m * geometry.youngs_modulus_pascals
 
     def strain_matrix(self, gauges: Sequence[Gauge], gauge_length_m: float = 0.0) -> FloatArray:
-        """Return the strain per newton of F, shape (n, 3), tension positive, as the mean over gauge_length_m.
-
-        The points K_H and S_H are where their arms start. Raises InputError for an unknown gauge, one off its beam, or
-        one whose length reaches beyond it.
-        """
+        """Return the strain per newton of F, (n, 3), tension positive, as the mean over gauge_length_m; K_H and S_H are
+        where their arms start. Raises InputError for an unknown gauge, or one that reaches beyond its beam."""
         return np.array([self._row(gauge, gauge_length_m) for gauge in gauges], dtype=np.float64).reshape(-1, 3)
 
     def motions(self) -> tuple[FloatArray, FloatArray]:
-        """Return the motion of the tip relative to the joint, and of that relative to the fixture, per newton of F: (3,
-        3), rows u_m, v_m, rotation_rad."""
+        """Return the motions (3, 3) of tip to joint and of joint to fixture, per newton of F: (u_m, v_m, angle)."""
         return self._tip / self._scale, self._joint / self._scale
 
     def slit_closure(self, fractions: npt.ArrayLike) -> FloatArray:
@@ -145,8 +140,7 @@ class Frame:
 
 
 def _solve(elements: list[_Element], loads: FloatArray) -> FloatArray:
-    """Return the motion (u, v, rotation) of a body per newton of three loads (columns of (3, 3)): (3, 3), for E = 1 and
-    width = 1. The stiffness is scaled to a diagonal of 1."""
+    """Return the motion (u, v, rotation) of a body per newton of three loads, (3, 3), for E = 1 and width = 1."""
     stiffness = np.sum([e.motion.T @ e.stiffness[3:, 3:] @ e.motion for e in elements], axis=0)
     diagonal = np.diagonal(stiffness)
     if not (np.isfinite(stiffness).all() and (diagonal > 1e-300).all()):

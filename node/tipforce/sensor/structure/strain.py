@@ -44,11 +44,8 @@ def nominal_position(geometry: Geometry, point: str) -> GaugePosition:
 def strain_row(
     geometry: Geometry, beam: Beam, side: Side, position_m: npt.ArrayLike, face: Face = "lower"
 ) -> FloatArray:
-    """Return the strain per newton of F, (..., 3), tension positive, at positions (...); arguments as of GaugePosition.
-
-    Table 1 at the eight points, linear between them: equations (5) and (6) with the lever arm in place of d, (4) to (3)
-    and (11) to (10). Raises InputError for an unknown beam, side or face, or a position off the beam.
-    """
+    """Return the strain per newton of F, (..., 3), tension positive, at positions (...): Table 1 at the eight points,
+    linear between them. Raises InputError for an unknown beam, side or face, or a position off the beam."""
     if beam not in ("H", "V") or side not in ("left", "right") or face not in ("lower", "upper"):
         raise InputError(
             f"gauge place beam {beam!r}, side {side!r}, face {face!r}: allowed are H or V, left or right, "
@@ -203,11 +200,9 @@ def pseudo_inverse(matrix: FloatArray, names: Iterable[str]) -> FloatArray:
 
 
 def condition_number(matrix: npt.ArrayLike) -> float:
-    """Return the 2-norm condition number of a matrix (n, 3) or (3, n); inf where it is singular.
-
-    The same for the strain matrix and C. It depends on the units of F (the paper's F2 is a force, not a moment) and on
-    the scale of every row. NaN where an entry is not finite. Raises InputError for another shape.
-    """
+    """Return the 2-norm condition number of a matrix (n, 3) or (3, n), equal for A and C: inf if singular, NaN if not
+    finite. It depends on the units of F (F2 is a force) and on the scale of every row. Raises InputError for another
+    shape."""
     entries = floats("matrix", matrix)
     if entries.ndim != 2 or 3 not in entries.shape:
         raise InputError(f"the matrix has the shape {entries.shape}: allowed are (n, 3) and (3, n)")

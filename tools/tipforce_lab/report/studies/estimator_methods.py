@@ -1,7 +1,5 @@
-"""Methods to compute P and theta from counts: each prepared once, then timed as a function without arguments. In
-integers: int64 arrays for a microcontroller's registers, a narrower sum wraps as in hardware, angles are binary, 2^32
-per turn. In MicroPython: its WebAssembly build under Node.js, if both are installed.
-"""
+"""Methods to compute P and theta from counts, each prepared once, then timed. Integers are int64 arrays for registers,
+a narrower sum wraps, angles are binary, 2^32 per turn. MicroPython is its WebAssembly build under Node.js."""
 
 import binascii
 import json

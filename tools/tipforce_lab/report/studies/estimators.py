@@ -173,11 +173,8 @@ def _remarks(
 
 
 def contacts(rng: np.random.Generator, k: int, sliding: bool = False, corners: bool = False) -> Contacts:
-    """Return k pushes in any direction: half from a hundredth of the converter's range to all of it, half above 50 %.
-
-    |cos(delta)| is at least 0.1, uniform, or if ``sliding`` 0.001 to 0.1, log-uniform: a nearly tangential force.
-    corners: also those with every gauge at an end of the converter's range.
-    """
+    """Return k pushes in any direction, half of them above 50 % of the converter's range. |cos(delta)| is 0.1 to 1, or
+    if ``sliding`` 0.001 to 0.1, log-uniform. corners: also those with every gauge at an end of the range."""
     C, A = calibration_matrix(FABRICATED, CASE), strain_matrix(FABRICATED, CASE)
     phi = rng.uniform(-np.pi, np.pi, k)
     cosine = 10.0 ** rng.uniform(-3.0, -1.0, k) if sliding else rng.uniform(0.1, 1.0, k)

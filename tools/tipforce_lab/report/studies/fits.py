@@ -73,8 +73,7 @@ def _study(effort: Effort, advance: Callable[[], None], share: float) -> Study:
 
 
 def _rig(rng: np.random.Generator, loads: int, share: float) -> tuple[Readings, FloatArray, FloatArray]:
-    """Return readings, the true strain matrix and offset: ``loads`` grooves, alternately x and y, with random weights;
-    a tare per three loads; in random order."""
+    """Return readings, true strain matrix, offset: ``loads`` grooves, x and y in turn, random weights, order, tares."""
     grooves = paper_grooves()
     along_x, along_y = (rng.permutation(np.flatnonzero(kind)) for kind in (grooves.along_x, ~grooves.along_x))
     groove = np.stack((np.resize(along_x, loads), np.resize(along_y, loads)), axis=-1).ravel()[:loads]

@@ -1,7 +1,5 @@
-"""Which way of showing a value says ok and is wrong, for every fault of a scene, by number of gauges. Each finger is
-calibrated by `tipforce calibrate fit`, one scene per fault runs the node's code, and every method reads the same log. A
-row is wrong if its P is off by more than five of its own standard uncertainties.
-"""
+"""Which way of showing a value says ok and is wrong, by more than five of its own standard uncertainties of P, for
+every fault of a scene, by number of gauges. `tipforce calibrate fit` calibrates each finger; the node's code runs."""
 
 import csv
 import math
