@@ -97,9 +97,8 @@ class Service:
         persistent: bool = False,
         error_frames: bool = False,
     ) -> Callable[[Callable[..., object]], Callable[..., object]]:
-        """Declare a case by its steps, called with the Dut in their order; without steps, by the decorated function,
-        after which a header without a name is named. ``each``: one case per row, arguments after the Dut, of clause and
-        of title."""
+        """Declare a case by its steps, called with the Dut in order, or by the decorated function, after which one
+        without a name is named. ``each``: a case per row of arguments after the Dut, of clause and of title."""
         match = _HEADER.fullmatch(header)
         if match is None:
             raise ValueError(f"{header!r}: the form of a case is 'name clause: title'")

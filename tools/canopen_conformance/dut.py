@@ -36,9 +36,8 @@ def _fits(data: bytes, wanted: Wanted) -> bool:
 
 
 class Dut:
-    """One device on a link. ``product``: of the caller's own cases. ``pdo_id``, ``upload_index``: of the PDO and the
-    upload that a case has begun. Frames that no check has consumed stay pending. Identifiers: also ``wire.EMCY`` to
-    ``wire.PDO``."""
+    """One device on a link. ``product``: of the caller's own cases. ``pdo_id``, ``upload_index``: of what a case has
+    begun. Frames that no check has consumed stay pending. Identifiers: also ``wire.EMCY`` to ``wire.PDO``."""
 
     def __init__(self, link: Link, node_id: int, product: Product | None = None) -> None:
         self.link = link

@@ -49,8 +49,7 @@ def part_costs(scene: schema.Scene, path: Path, samples: int = 300, runs: int = 
 
 
 def nondecreasing(values: Sequence[float]) -> list[float]:
-    """Return the nearest sequence (least squares) that does not fall: runs that fall are replaced by their mean. A
-    scene with one more part cannot take less time: such a difference is below the scatter of the clock."""
+    """Return the nearest sequence (least squares) that does not fall: such a difference is the scatter of the clock."""
     blocks: list[tuple[float, int]] = []
     for value in values:
         blocks.append((value, 1))
@@ -132,8 +131,7 @@ class Measured:
 
 
 def measure(scenes: Sequence[schema.Scene], path: Path, samples: int, runs: int) -> list[Measured]:
-    """Time scenes of the file ``path`` without their bus; output files go to a separate folder. The runs are
-    interleaved and the minimum counts: other load on the machine only adds time."""
+    """Time scenes of the file ``path`` without bus, interleaved: the minimum counts, other load only adds time."""
     short: list[list[float]] = [[] for _ in scenes]
     long: list[list[float]] = [[] for _ in scenes]
     outcomes: list[Outcome] = []
@@ -185,8 +183,7 @@ run_scene(scene, Path(sys.argv[2]), 1.5 / (scene.sync_hz or 1.0))
 
 
 def import_times(scene: schema.Scene, path: Path) -> dict[str, float]:
-    """Return the milliseconds of each part's imports in a separate Python process. A module counts for the first part
-    that lists it; a package of others counts with all its own imports."""
+    """Return the milliseconds of each part's imports, in another process; a module counts for the first part of it."""
     with tempfile.TemporaryDirectory(prefix="tipforce-cost-") as folder:
         text = msgspec.json.encode(_in_folder(scene, Path(folder))).decode()
         words = [sys.executable, "-X", "importtime", "-c", _IMPORT_RUN, text, str(path.parent)]

@@ -9,9 +9,8 @@ import numpy as np
 from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
 from tipforce.output_file import save_figure
+from tipforce.sensor import Geometry, first_order_holds, force_vector, standard_uncertainties
 from tipforce.sensor.calibration.simulation import paper_grooves
-from tipforce.sensor.contact.estimate import first_order_holds, force_vector, standard_uncertainties
-from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.off_axis import PlacedGauge, off_axis_wrenches, wrench_strain_matrix
 from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS
 from tipforce.sensor.structure.strain import GaugePosition, strain_row
@@ -236,8 +235,7 @@ _BAR, _TOTAL = "#0072b2", "#222222"
 
 
 def plot(error_budget: Budget, path: str) -> None:
-    """Draw the standard uncertainty of each cause, RMS over the loads, sorted by share of the variance of P. Raises
-    EnvironmentLackError without matplotlib, and InputError if the file, .png or .svg, cannot be written."""
+    """Draw the standard uncertainty of each cause, RMS over the loads. Raises EnvironmentLackError, and InputError."""
     *parts, total = (np.sqrt(np.mean(u**2, axis=0)) for u in (*error_budget.rows.values(), error_budget.total))
     sizes = np.array(parts)
     order = np.argsort(-sizes[:, 0], kind="stable")

@@ -1,7 +1,6 @@
 """The outline of the body (assumed: the paper does not state that of figure 2) and its triangles: a grid of lines
-mapped to its shape. x to the right, y away from the fixture, origin in the middle of the horizontal beam, symmetric
-about x = 0. Cells form rings around a re-entrant corner, ring k of m as far as (k / m)^grading. A mesh of 2 n has the
-nodes of n."""
+mapped to its shape. x to the right, y away from the fixture, origin in the middle of the horizontal beam. Cells form
+rings around a re-entrant corner, ring k of m as far as (k / m)^grading. A mesh of 2 n has the nodes of n."""
 
 import math
 from collections.abc import Sequence

@@ -1,6 +1,5 @@
-"""Plane elasticity of the body with scikit-fem: P2 triangles, one sparse factorisation for three loads. A gauge reads
-the difference of displacement between its ends, finite also at a re-entrant corner. Young's modulus and width are 1
-inside."""
+"""Plane elasticity of the body with scikit-fem: P2 triangles, one sparse factorisation for three loads, E = width = 1.
+A gauge reads the difference of displacement between its ends, finite also at a re-entrant corner."""
 
 import math
 from collections.abc import Sequence
@@ -217,8 +216,7 @@ def face(solution: Solution, gauge: GaugePosition) -> Face:
 
 def strain_matrix(solution: Solution, gauges: Sequence[Gauge], gauge_length_m: float = GAUGE_LENGTH_M) -> FloatArray:
     """Return the strain per newton of F, (n, 3), tension positive, averaged over each gauge; at a point (length 0) it
-    converges away from corners only. Points of Table 1: at nearest_place(). Raises InputError for a gauge beyond its
-    face."""
+    diverges in corners. Points of Table 1: at nearest_place(). Raises InputError for a gauge beyond its face."""
     if not 0.0 <= gauge_length_m < np.inf:
         raise InputError(f"gauge_length_m = {gauge_length_m!r}: allowed is 0 (a point) or more, finite")
     rows = [_row(solution, gauge, gauge_length_m) for gauge in gauges]
@@ -291,8 +289,7 @@ class Limit(NamedTuple):
 
     value: float
     error: float
-    """1.25 times the finest value's distance from its limit (Roache's grid convergence index), the order at most 3, as
-    of P2; without an observable order, the larger of the last two changes."""
+    """1.25 times the finest value's distance from its limit (Roache); without an order the larger last change."""
     order: float
     """NaN: the differences do not decrease with one sign, and the value is the finest one."""
 
@@ -310,8 +307,7 @@ def extrapolate(values: Sequence[float]) -> Limit:
 
 
 def extrapolate_matrix(values: Sequence[FloatArray]) -> tuple[FloatArray, float]:
-    """Return the limit of the last three matrices, n, 2 n, 4 n, and its error, relative in the Frobenius norm. One
-    ratio for all entries: entry by entry it would divide by differences that are only rounding."""
+    """Return the limit of the last three matrices, one ratio for all entries, and its relative error (Frobenius)."""
     coarse, middle, fine = values[-3:]
     ratio = float(np.linalg.norm(middle - coarse) / np.linalg.norm(fine - middle))
     change = (fine - middle) / max(min(ratio, 2.0**MOST_ORDER) - 1.0, 1.0)

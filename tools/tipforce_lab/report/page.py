@@ -1,5 +1,4 @@
-"""The report as one self-contained HTML page: no script, no network, readable on a phone and on paper; with one
-work-precision plot per study, as SVG in the page: no script, no style, no URL."""
+"""The report as one self-contained HTML page with a work-precision plot per study as SVG: no script, no network."""
 
 from __future__ import annotations
 
@@ -246,8 +245,7 @@ def _draw_series(axes: Axes, study: Study, number: int, floor: float) -> None:
 
 
 def _frame(axes: Axes, study: Study, zero: float | None) -> None:
-    """Show at least two decades on each axis, because a shorter log axis has almost no labels; a band up to the error
-    of the reference, unless that is too far below the points; and a line for errors of zero, if there are any."""
+    """Show at least two decades on each axis, a band up to the reference's error if near, and a line for zero."""
     for (low, high), set_limits in ((axes.get_xlim(), axes.set_xlim), (axes.get_ylim(), axes.set_ylim)):
         short = 2.0 - math.log10(high / low)
         if short > 0.0:
@@ -263,8 +261,7 @@ def _frame(axes: Axes, study: Study, zero: float | None) -> None:
 
 
 def svg(study: Study) -> str:
-    """Return the plot as an <svg> element without file header; identifiers contain the study's key, so that a page can
-    hold many, and attributes replace styles, which a strict CSP forbids."""
+    """Return the plot as an <svg> element; identifiers contain the key, attributes replace styles (a strict CSP)."""
     with plotting():
         drawn, out, key = figure(study), io.StringIO(), study.key
         drawn.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})

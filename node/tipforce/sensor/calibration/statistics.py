@@ -51,7 +51,7 @@ def result(
     Sigma = solution.Sigma * problem.strain**2
     # By the covariance that the record holds: from the two a node with more than three gauges gets A back.
     C = weighted_inverse(A, Sigma)
-    residual = solution.unexplained * problem.strain
+    residual = (problem.V - problem.g @ solution.coefficients.T) * problem.strain  # the groove's angle left in
     noise_dof = solution.dof if model.noise_strain is None else float("inf")
     sigma0, loaded, unloaded = _sizes(problem, solution, readings.P_newtons > 0.0)
     return Fit(
@@ -166,8 +166,7 @@ FALSE_ALARM = 0.005
 def nonlinearity(
     problem: Problem, solution: Solution, C: FloatArray, sigma0: float, largest_newtons: float
 ) -> Nonlinearity | None:
-    """Return the test of a quadratic term; None where the rows do not determine one. C: (3, n) newtons per unit strain.
-    Residuals larger than the model expects (sigma0 above 1) widen the intervals."""
+    """Return the test of a quadratic term; None where the rows determine none. sigma0 above 1 widens the intervals."""
     n, A = problem.V.shape[1], solution.coefficients[:, :3]
     elastic = problem.g[:, :3] @ A.T
     trials: list[tuple[float, bool, Extra]] = []

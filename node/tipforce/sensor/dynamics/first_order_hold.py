@@ -181,9 +181,8 @@ def checked_loads(loads_newtons: npt.ArrayLike) -> FloatArray:
 
 
 def _scan(held: FloatArray, drive: FloatArray, start: State) -> tuple[FloatArray, FloatArray]:
-    """Return all states (m, n) of the recurrence, in blocks that start from zero at once: 2 sqrt(m) passes through
-    Python instead of m. The end of each block is carried on by powers of the step's matrix; multiples of a step would
-    round."""
+    """Return all states (m, n) of the recurrence by blocks that start from zero: 2 sqrt(m) passes through Python. Their
+    ends are carried on by powers of the step's matrix; multiples of a step would round."""
     steps, n = drive.shape[1:]
     if steps == 0:
         return start.position[np.newaxis], start.velocity[np.newaxis]

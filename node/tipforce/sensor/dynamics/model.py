@@ -90,9 +90,8 @@ def modes(
     joint: RigidBody | None = None,
     beam_density_kg_m3: float = 0.0,
 ) -> Modes:
-    """Return the modes of one body, 3 if joint and beams are massless, else 6. damping_ratio: one, or one per mode,
-    lowest first. tip: by default half_cylinder(). joint: a block at the origin. Raises InputError for a body beyond
-    floating point, or unfit ratios."""
+    """Return the modes of a body, 3 if joint and beams are massless, else 6. damping_ratio: one, or one per mode,
+    lowest first. tip: by default half_cylinder(). Raises InputError for a body beyond floating point, unfit ratios."""
     if not 0.0 <= beam_density_kg_m3 < math.inf:
         raise InputError(f"beam_density_kg_m3 = {beam_density_kg_m3!r}: allowed is 0 (neglected) or more, finite")
     frame, r = Frame(geometry), geometry.r_m

@@ -14,8 +14,7 @@ THIN_BEAM_RATIO = math.sqrt(8.0 / 3.0)
 @dataclass(frozen=True, slots=True)
 class Geometry:
     """One fingertip body, with the symbols of figure 2: the horizontal beam spans 2 a between its ends, which carry the
-    tip; the vertical one joins its middle to the fixture. Raises InputError, naming the field, unless positive and
-    finite."""
+    tip; the vertical one joins its middle to the fixture. Raises InputError, naming the field."""
 
     a_m: float
     """Half the length of the horizontal beam: from the joint to one outer end."""

@@ -1,10 +1,7 @@
-"""A plane frame by the direct stiffness method, an independent model of the body: fixture, joint and tip are rigid, the
-vertical beam and both arms elastic. x to the right, y away from the fixture; tension is positive. EULER_BERNOULLI
-equals Table 1 to rounding.
-
-The unknowns are the motions of the joint relative to the fixture and of the tip relative to the joint: no stiffness is
-added to a far smaller one, and with diagonal scaling a body of 1 nm thickness is solved to rounding.
-"""
+"""A plane frame by the direct stiffness method: fixture, joint and tip are rigid, the vertical beam and both arms
+elastic. x to the right, y away from the fixture; tension is positive. EULER_BERNOULLI equals Table 1 to rounding. The
+unknowns are the motions of the joint relative to the fixture and of the tip relative to the joint: no stiffness is
+added to a far smaller one, and with diagonal scaling a body of 1 nm thickness is solved to rounding."""
 
 import math
 from collections.abc import Sequence
@@ -39,11 +36,9 @@ class FrameModel:
     shear: bool = False
     """True: Timoshenko beams, with shear deformation. False: Euler-Bernoulli."""
     root_rotation: float = 0.0
-    """E b h^2 times rotation per moment of each of the six beam ends, the joint's included: a spring in series with the
-    beam; 0 is rigid, HALF_PLANE_ROTATION a large wall."""
+    """E b h^2 times rotation per moment of each of the six beam ends; 0: rigid, HALF_PLANE_ROTATION: a large wall."""
     finite_joint: bool = False
-    """True: the joint is a rigid block h2 wide, the arms start at its sides. False: they meet at its middle,
-    as in Table 1. In both the vertical beam starts h1 / 2 below the middle."""
+    """True: the joint is a rigid block h2 wide with the arms at its sides. False: they meet at its middle (Table 1)."""
 
 
 EULER_BERNOULLI = FrameModel()

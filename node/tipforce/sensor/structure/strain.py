@@ -114,8 +114,7 @@ def place(geometry: Geometry, gauge: Gauge) -> GaugePosition:
 
 
 def check_gauges(geometry: Geometry, gauges: Sequence[Gauge]) -> tuple[Gauge, ...]:
-    """Return the gauges, SG1 first, if they are valid. Raises InputError for fewer than 3 or more than 8, an unknown
-    point, beam, side or face, a position off its beam, or two gauges at one place."""
+    """Return the gauges, SG1 first: 3 to 8 places, known, on their beams, no two the same; else raises InputError."""
     if not MIN_GAUGES <= len(gauges) <= MAX_GAUGES:
         raise InputError(f"a layout of {len(gauges)} gauge points: allowed are {MIN_GAUGES} to {MAX_GAUGES}")
     seen: dict[GaugePosition, Gauge] = {}
@@ -131,8 +130,7 @@ def check_gauges(geometry: Geometry, gauges: Sequence[Gauge]) -> tuple[Gauge, ..
 
 
 def gauge_matrix(geometry: Geometry, gauges: Sequence[Gauge]) -> FloatArray:
-    """Return the strain per newton of F, shape (n, 3), tension positive: Table 1, made continuous. Raises InputError as
-    check_gauges() does, and for a beam too thin for floating point."""
+    """Return the strain per newton of F, (n, 3), tension positive: Table 1, continuous. Raises as check_gauges()."""
     A = position_matrix(geometry, [place(geometry, gauge) for gauge in check_gauges(geometry, gauges)])
     if not np.isfinite(A).all():
         raise InputError(f"h1_m = {geometry.h1_m!r}, h2_m = {geometry.h2_m!r}: too thin, the strain is not finite")
@@ -201,8 +199,7 @@ def pseudo_inverse(matrix: FloatArray, names: Iterable[str]) -> FloatArray:
 
 def condition_number(matrix: npt.ArrayLike) -> float:
     """Return the 2-norm condition number of a matrix (n, 3) or (3, n), equal for A and C: inf if singular, NaN if not
-    finite. It depends on the units of F (F2 is a force) and on the scale of every row. Raises InputError for another
-    shape."""
+    finite. It depends on the units of F and on the scale of every row. Raises InputError for another shape."""
     entries = floats("matrix", matrix)
     if entries.ndim != 2 or 3 not in entries.shape:
         raise InputError(f"the matrix has the shape {entries.shape}: allowed are (n, 3) and (3, n)")
