@@ -17,7 +17,7 @@ import numpy as np
 from bench.measure import arguments, in_processes, table
 
 from tipforce.arrays import FloatArray
-from tipforce.sensor.calibration.fit import Fit, Model, Readings, covariance_of_estimate, fit_calibration, linear_fit
+from tipforce.sensor import Fit, Model, Readings, covariance_of_estimate, fit_calibration, linear_fit
 from tipforce.sensor.calibration.regressors import OffsetBasis, direction_scatter, grooves
 from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate, unseen_forces
 from tipforce.sensor.calibration.solve import Problem, Scatter, solve

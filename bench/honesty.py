@@ -27,7 +27,7 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.fitting import FitRequest, fitted
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.samples.reasons import Status
-from tipforce.sensor.calibration.fit import covariance_of_estimate
+from tipforce.sensor import covariance_of_estimate
 from tipforce.sensor.calibration.simulation import paper_grooves, true_matrix
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.contact.redundancy import parity

@@ -27,7 +27,7 @@ from docs.runner import Terminal
 from sources.iio_tree import Tree
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration, write_calibration
-from tipforce.sensor.calibration.fit import Readings
+from tipforce.sensor import Readings
 from tipforce.sensor.calibration.simulation import simulate
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED

@@ -6,7 +6,7 @@ import numpy as np
 
 from stability.case import Observed, refusal, shortened
 from tipforce.arrays import FloatArray
-from tipforce.sensor.calibration.fit import Fit, Model, Readings, fit_calibration
+from tipforce.sensor import Fit, Model, Readings, fit_calibration
 from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED

@@ -16,7 +16,7 @@ import pytest
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration, read_calibration, write_calibration
 from tipforce.host.decoding import estimator
-from tipforce.sensor.calibration.fit import covariance_of_estimate
+from tipforce.sensor import covariance_of_estimate
 from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED

@@ -20,7 +20,7 @@ from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.source import Reading, Source
 from tipforce.host.configuration.calibration import read_calibration
 from tipforce.host.network.bus import Bus
-from tipforce.sensor.calibration.fit import covariance_of_estimate
+from tipforce.sensor import covariance_of_estimate
 from tipforce.sensor.contact.estimate import force_vector, standard_uncertainties
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix

@@ -25,10 +25,8 @@ _LENGTHEN = 4  # ratio of the long run to the short run of a pair: their differe
 
 
 Cost = dict[str, float | None]
-"""us_per_sample: difference with and without the part; for "nodes" the rest without all other parts. Never negative:
-see nondecreasing(). ms_per_run: the same for work that does not grow with the samples: set-up, opening, drawing.
-import_ms: of the modules that no earlier part imports. None if the part is left out, or cannot be removed alone. A
-sample is one node at one SYNC."""
+"""us_per_sample (a node at a SYNC): with less without the part, never negative; of "nodes" the rest. ms_per_run: the
+same for set-up and drawing. import_ms: of modules that no earlier part imports. None: cannot be removed alone."""
 
 
 def part_costs(scene: schema.Scene, path: Path, samples: int = 300, runs: int = 3) -> dict[str, Cost]:
@@ -51,8 +49,7 @@ def part_costs(scene: schema.Scene, path: Path, samples: int = 300, runs: int = 
 
 
 def nondecreasing(values: Sequence[float]) -> list[float]:
-    """Return the nearest sequence (least squares) that does not fall: runs that fall are replaced by their mean. A
-    scene with one more part cannot take less time: such a difference is below the scatter of the clock."""
+    """Return the nearest sequence (least squares) that does not fall: such a difference is the scatter of the clock."""
     blocks: list[tuple[float, int]] = []
     for value in values:
         blocks.append((value, 1))
@@ -134,8 +131,7 @@ class Measured:
 
 
 def measure(scenes: Sequence[schema.Scene], path: Path, samples: int, runs: int) -> list[Measured]:
-    """Time scenes of the file ``path`` without their bus; output files go to a separate folder. The runs are
-    interleaved and the minimum counts: other load on the machine only adds time."""
+    """Time scenes of the file ``path`` without bus, interleaved: the minimum counts, other load only adds time."""
     short: list[list[float]] = [[] for _ in scenes]
     long: list[list[float]] = [[] for _ in scenes]
     outcomes: list[Outcome] = []
@@ -187,8 +183,7 @@ run_scene(scene, Path(sys.argv[2]), 1.5 / (scene.sync_hz or 1.0))
 
 
 def import_times(scene: schema.Scene, path: Path) -> dict[str, float]:
-    """Return the milliseconds of each part's imports in a separate Python process. A module counts for the first part
-    that lists it; a package of others counts with all its own imports."""
+    """Return the milliseconds of each part's imports, in another process; a module counts for the first part of it."""
     with tempfile.TemporaryDirectory(prefix="tipforce-cost-") as folder:
         text = msgspec.json.encode(_in_folder(scene, Path(folder))).decode()
         words = [sys.executable, "-X", "importtime", "-c", _IMPORT_RUN, text, str(path.parent)]

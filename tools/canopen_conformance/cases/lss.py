@@ -37,8 +37,7 @@ def identity(dut: Dut) -> list[int]:
 
 
 def say_each(dut: Dut, first: int, numbers: Iterable[tuple[int, int]]) -> None:
-    """A request for each (part, number): switch state SELECTIVE, or IDENTIFY remote slave. The parts of the second are
-    vendor, product, revision from, to, serial number from, to."""
+    """A request for each (part, number); those of IDENTIFY: vendor, product, revision and serial number from, to."""
     for part, number in numbers:
         say(dut, first + part, number=number)
 

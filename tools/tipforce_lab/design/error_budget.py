@@ -1,7 +1,5 @@
-"""Error budget of P, phi, theta: each cause propagated through C, the calibration and the contact to first order. A
-cause is a set of independent elementary errors; the covariance of F is the sum of their outer products, for each load.
-A fixed offset, gain, shift or angle is not noise: its row is the scatter of the estimates of many such sensors.
-"""
+"""Error budget of P, phi, theta: each cause, a set of independent elementary errors, propagated to first order. A fixed
+offset, gain, shift or angle is not noise: its row is the scatter of the estimates of many such sensors."""
 
 from dataclasses import dataclass
 from math import pi, sqrt
@@ -11,9 +9,8 @@ import numpy as np
 from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
 from tipforce.output_file import save_figure
+from tipforce.sensor import Geometry, first_order_holds, force_vector, standard_uncertainties
 from tipforce.sensor.calibration.simulation import paper_grooves
-from tipforce.sensor.contact.estimate import first_order_holds, force_vector, standard_uncertainties
-from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.off_axis import PlacedGauge, off_axis_wrenches, wrench_strain_matrix
 from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS
 from tipforce.sensor.structure.strain import GaugePosition, strain_row
@@ -129,8 +126,7 @@ def pad_loads(P_newtons: float, theta_min_deg: float, theta_max_deg: float, *, p
 
 
 def budget(sensor: Sensor, loads: Loads, causes: Causes) -> Budget:
-    """Return the budget of some loads, C fitted to the paper's grooves, one reading each and as many unloaded. Raises
-    InputError where the shapes do not fit."""
+    """Return the budget of loads, C fitted to the grooves and as many unloaded rows. Raises InputError for shapes."""
     n = sensor.C.shape[1] if sensor.C.ndim == 2 else 0
     if sensor.C.shape != (3, n) or sensor.A.shape != (n, 3) or sensor.covariance_strain2.shape != (n, n):
         raise InputError(
@@ -187,12 +183,8 @@ def elementary_errors(sensor: Sensor, loads: Loads, causes: Causes) -> tuple[dic
 
 
 def _calibration_errors(F: FloatArray, causes: Causes, noise: FloatArray) -> dict[str, FloatArray]:
-    """Return the errors of F from noise and angles of the calibration.
-
-    The fit uses F_i for the load F_i + angle F'_i: its strain is wrong by A F'_i, the fit by A F'_i G_i^T N^-1 and a
-    reading by -F'_i (G_i^T N^-1 G), for any A. N has the loads and as many unloaded readings; G^T N^-1 G is the part of
-    one reading's variance that propagates to F.
-    """
+    """Return the errors of F from noise and angles of the calibration. The fit uses F_i for the load F_i + angle F'_i:
+    a reading is wrong by -F'_i (G_i^T N^-1 G), for any A; G^T N^-1 G is the part of its variance in F."""
     hung = groove_loads()
     G, each = _with_one(hung.F), _with_one(F)
     solved = np.linalg.solve(G.T @ G + np.diag([0.0, 0.0, 0.0, float(len(G))]), each.T)
@@ -243,8 +235,7 @@ _BAR, _TOTAL = "#0072b2", "#222222"
 
 
 def plot(error_budget: Budget, path: str) -> None:
-    """Draw the standard uncertainty of each cause, RMS over the loads, sorted by share of the variance of P. Raises
-    EnvironmentLackError without matplotlib, and InputError if the file, .png or .svg, cannot be written."""
+    """Draw the standard uncertainty of each cause, RMS over the loads. Raises EnvironmentLackError, and InputError."""
     *parts, total = (np.sqrt(np.mean(u**2, axis=0)) for u in (*error_budget.rows.values(), error_budget.total))
     sizes = np.array(parts)
     order = np.argsort(-sizes[:, 0], kind="stable")

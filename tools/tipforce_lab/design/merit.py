@@ -1,5 +1,4 @@
-"""Figures of merit of a structure, by beam theory and by the frame, and the designs that no other dominates. The
-condition number alone does not contain noise: it is unchanged if every gauge reads half as much."""
+"""Figures of merit of a structure, by beam theory and by the frame, and the designs that no other dominates."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -37,8 +36,7 @@ def load_angles() -> tuple[FloatArray, FloatArray]:
 
 
 def load_weights(load_newtons: float) -> FloatArray:
-    """Return W_P, W_phi, W_theta, shape (3, 3, 3), units 1, (rad/N)^2, (rad/N)^2: means of j j^T, j the gradient of P,
-    phi or theta by F. First order: the mean variance of the quantity is tr(W C Sigma_V C^T)."""
+    """Return W_P, W_phi, W_theta, (3, 3, 3), units 1, (rad/N)^2: means of j j^T, j the gradient of each by F."""
     phi, theta = load_angles()
     s, c, zero, delta = np.sin(phi), np.cos(phi), np.zeros_like(phi), phi - theta
     gradient_P = np.stack((s, zero, c), axis=-1)
@@ -52,8 +50,7 @@ def load_weights(load_newtons: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits of a structure, lengths in metres; the defaults are the paper's fabricated body and its stress. Raises
-    InputError for a value out of range, naming it."""
+    """Limits of a structure, metres; defaults: the paper's body and its stress. Raises InputError, naming the value."""
 
     envelope_x_m: float = 2.0 * FABRICATED.r_m
     """Across: 2 r."""
@@ -155,8 +152,7 @@ class Assessment:
 def assess(
     name: str, geometry: Geometry, gauges: Sequence[Gauge], limits: Limits, noise_microstrain: float
 ) -> Assessment:
-    """Return the figures of one structure under the load of the limits, with their gauge length (0 for points of Table
-    1: a gauge there would reach beyond the beam) and slit. Raises InputError for gauges that are not usable."""
+    """Return the figures of a structure at load, gauge length (0 for points), slit of the limits. Raises InputError."""
     A, load = gauge_matrix(geometry, gauges), limits.load_newtons
     length_m = 0.0 if any(isinstance(gauge, str) for gauge in gauges) else limits.gauge_length_m
     block = replace(ELASTIC_ROOTS, finite_joint=True)
@@ -169,8 +165,7 @@ def assess(
 
 
 def glued(geometry: Geometry, gauges: Sequence[str], gauge_length_m: float) -> tuple[Gauge, ...]:
-    """Return gauges of that length as near to the points of Table 1 as the body allows. At the joint a gauge of the
-    arms begins beside the vertical beam, h2 / 2 from the middle. Raises InputError for an unknown point."""
+    """Return gauges as near to the points as length and vertical beam allow. Raises InputError for an unknown point."""
     positions: list[Gauge] = []
     for point in gauges:
         moved = shifted(geometry, point, 0.5 * gauge_length_m)
@@ -189,8 +184,7 @@ FIGURES: dict[str, Callable[[Assessment], float]] = {
 
 
 def pareto(entries: Sequence[Assessment], figures: Sequence[Callable[[Assessment], float]]) -> list[Assessment]:
-    """Return the entries that no other dominates in every figure (smaller is better), the best in the first one first.
-    An entry that is better by less than one percent counts as dominated."""
+    """Return the entries that none dominates (a percent counts as equal), the best in the first figure first."""
     kept: list[Assessment] = []
     for entry in sorted(entries, key=lambda e: tuple(figure(e) for figure in figures)):
         values = [figure(entry) for figure in figures]

@@ -22,15 +22,13 @@ COMPARATORS = (("[5]", 6, 4.2), ("[11]", 3, 20.05))
 
 
 def condition_range(condition: float, from_length_m: float, to_length_m: float) -> tuple[float, float]:
-    """Return the condition numbers possible on another scale for a matrix of which only the number is known. Its moment
-    columns change by f = to / from, and so the number by at most max(f, 1 / f), up or down."""
+    """Return the condition numbers possible on another scale: f = to / from changes one by at most max(f, 1 / f)."""
     factor = max(to_length_m / from_length_m, from_length_m / to_length_m)
     return max(1.0, condition / factor), condition * factor
 
 
 def lengths_of_condition(geometry: Geometry, gauges: Layout, condition: float) -> tuple[float, ...]:
-    """Return the lengths (m) at which a layout has a condition number above its least, one to either side of the best:
-    by bisection of the logarithm between the best length and 1e-6 and 1e6 of it."""
+    """Return the lengths (m) at which a layout has a condition number, one to either side of the best, by bisection."""
     best = best_length(geometry, gauges)
     lengths = []
     for end in (-6.0, 6.0):
@@ -75,8 +73,7 @@ MATERIALS = (
 
 
 def figures_of(geometry: Geometry, material: Material, gauges: Layout) -> Record:
-    """Return the figures of a body made of a material, keys as in _FIGURES_COLUMNS: loads over all contacts and
-    directions that reach the yield stress, or close the paper's slit. Raises InputError for an unusable layout."""
+    """Return the figures of a body of a material, keys of _FIGURES_COLUMNS. Raises InputError for the layout."""
     body = replace(geometry, youngs_modulus_pascals=material.youngs_modulus_pascals)
     stress, noise = worst_stress(body, 1.0), strain.noise_gain(strain.calibration_matrix(body, gauges))
     moving = modes(body, 0.0, half_cylinder(body, material.density_kg_m3))
@@ -90,8 +87,7 @@ def figures_of(geometry: Geometry, material: Material, gauges: Layout) -> Record
 
 
 def scaled(geometry: Geometry, scale: float, gauges: Layout, keep_thickness: bool) -> Record:
-    """Return the record of a body with lengths and width times ``scale``; thicknesses as well, or kept. Condition
-    numbers of gauges at their points, of GAUGE_LENGTH_M that begin there, and with the last 0.2 mm inward."""
+    """Return the record of a body with lengths and width times ``scale``; thicknesses as well, or kept."""
     g = geometry
     body = replace(g, a_m=scale * g.a_m, d_m=scale * g.d_m, r_m=scale * g.r_m, width_m=scale * g.width_m)
     if not keep_thickness:

@@ -1,5 +1,5 @@
-"""The figures of `tipforce design`, deterministic to the byte. The outline of figure 2 is assumed: the tip a half disc
-with two legs to the ends of the horizontal beam, the vertical beam between the joint and a block, the fixture."""
+"""The figures of `tipforce design`, reproducible to the byte. Assumed, as the paper's text does not define figure 2:
+the tip is a half disc with legs to the ends of the horizontal beam, the fixture a block."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.output_file import make_folder, save_figure
+from tipforce.sensor import FABRICATED, Geometry, apparent_force, off_axis_wrenches
 from tipforce.sensor.calibration.simulation import paper_grooves
-from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS
-from tipforce.sensor.structure.off_axis import apparent_force, off_axis_wrenches
 from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS, GAUGE_LENGTH_M
 from tipforce.sensor.structure.strain import nominal_position
 from tipforce_lab.design.sections import condition_against_shift, simulate_groove_errors
@@ -38,8 +37,8 @@ STYLES: tuple[dict[str, Any], ...] = tuple(
 
 
 def draw(what: str, directory: Path, kind: str, noise: float, repeats: int, seed: int) -> Iterator[Path]:
-    """Draw the sections of `design table` named ``what``, or "all"; yield each path. noise (microstrain), repeats,
-    seed: of figure 9. Raises EnvironmentLackError without matplotlib, InputError for the directory."""
+    """Draw the sections of `design table` named ``what``, or "all", as svg or png; yield each path. noise
+    (microstrain), repeats, seed: of figure 9. Raises EnvironmentLackError, InputError for the directory."""
 
     makers: dict[str, list[tuple[str, Callable[[], Figure]]]] = {
         "1": [("cross-section", cross_section)],

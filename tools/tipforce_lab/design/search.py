@@ -1,6 +1,5 @@
-"""Search for better structures within a manufacturer's limits. Each distribution of the gauges over the faces of the
-beams (mirror images count once) is one configuration, whose variables are continuous: scipy's SLSQP from random starts,
-with exact derivatives (a complex step through Table 1)."""
+"""Search for better structures. Each distribution of the gauges over the faces of the beams is one configuration of
+continuous variables: scipy's SLSQP from random starts, with exact derivatives by a complex step."""
 
 import itertools
 import math
@@ -51,8 +50,7 @@ def point_of(design: Design) -> FloatArray:
 
 
 def configurations(gauges: int) -> list[tuple[GaugePosition, ...]]:
-    """Return the distributions of n gauges over the faces, at least one on each beam, mirror images once; all at 0.
-    Raises InputError for fewer than 3 or more than 5 gauges."""
+    """Return the distributions of 3 to 5 gauges over the faces, on both beams, mirrors once. Raises InputError."""
     if not 3 <= gauges <= 5:
         raise InputError(f"{gauges} gauges: allowed are 3 to 5")
     sets_of_slots: dict[tuple[GaugePosition, ...], None] = {}
@@ -169,8 +167,7 @@ Raises LinAlgError for a matrix that is not finite or not of rank 3."""
 
 
 def score(objective: Objective, load_newtons: float) -> Score:
-    """Return the logarithm of an objective: u_theta, sqrt(trace(C C^T)), 1 / smallest singular value, or condition with
-    a thousandth of the noise. Raises InputError for an unknown objective."""
+    """Return the logarithm of an objective, of condition with 0.001 of the noise. Raises InputError for another."""
     if objective not in OBJECTIVES:
         raise InputError(f"objective {objective!r} is not known: allowed are {', '.join(OBJECTIVES)}")
     if objective in ("theta", "noise"):
@@ -255,8 +252,8 @@ def search(
     seed: int = 0,
     done: Callable[[], None] = lambda: None,
 ) -> list[Design]:
-    """Return the best design of each configuration within the limits, the best first; ``done`` is called after each.
-    Raises InputError for values or if no start ends within the limits, EnvironmentLackError without scipy."""
+    """Return the best design of each configuration, the best first; done is called after each start. Raises InputError
+    for values out of range or if no start ends within the limits, EnvironmentLackError without scipy."""
     if starts < 1:
         raise InputError(f"{starts} starts: allowed is 1 or more")
     goal = score(objective, limits.load_newtons)
@@ -284,10 +281,8 @@ def trade_off(
     limits: Limits,
     done: Callable[[], None] = lambda: None,
 ) -> list[Design]:
-    """Return designs between the best one for an objective and the one of the least condition number, which has a
-    ceiling (TRADE_OFF_STEPS of the way, as a penalty). Each optimum is the start of the next: downwards from best and
-    others, upwards from least. Raises as search() does.
-    """
+    """Return designs between the best one for an objective and the one of the least condition number, by a ceiling at
+    TRADE_OFF_STEPS: from best and others downwards, from least upwards, in sequence. Raises as search()."""
     goal, condition = score(objective, limits.load_newtons), score("condition", limits.load_newtons)
     begins = [
         (Problem([gauge._replace(position_m=0.0) for gauge in design.gauges], limits), point_of(design))

@@ -1,5 +1,4 @@
-"""The paper's tables, its figures 6 and 9 and section 3.3 as sections of `tipforce design table`, beside the printed
-values: condition numbers, gauge shifts, errors in the grooves, loads off the plane."""
+"""The paper's tables, figures 6 and 9 and section 3.3, for `tipforce design table`, beside the printed values."""
 
 import itertools
 from dataclasses import dataclass
@@ -11,10 +10,9 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
+from tipforce.sensor import Geometry, contacts, force_from_strain, force_vector, standard_uncertainties
 from tipforce.sensor.calibration.simulation import Grooves, paper_grooves
-from tipforce.sensor.contact.estimate import contacts, force_from_strain, force_vector, standard_uncertainties
 from tipforce.sensor.structure import published
-from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, Layout, layout
 from tipforce.sensor.structure.off_axis import apparent_force, off_axis_wrenches, off_centre_wrenches
 from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS, GAUGE_LENGTH_M
@@ -24,8 +22,7 @@ from tipforce_lab.design.tables import MICRO, MM, Record, Section
 
 
 def condition_against_shift(geometry: Geometry, gauges: Layout, shifts_m: npt.ArrayLike) -> FloatArray:
-    """Return the condition numbers (n + 1, m): each gauge shifted alone, and in the last row all together. shifts_m:
-    (m,), inward along the beams. Raises InputError for an unusable layout or a shift off the beam."""
+    """Return the condition numbers (n + 1, m): each gauge moved by shifts_m (m,), then all. Raises InputError."""
     n, shifts = len(layout(gauges)), np.asarray(shifts_m, dtype=np.float64)
     moving = np.vstack((np.eye(n), np.ones((1, n))))
     result: FloatArray = np.linalg.cond(shifted_matrix(geometry, gauges, moving[:, np.newaxis] * shifts[:, np.newaxis]))
@@ -80,8 +77,8 @@ class GrooveErrors:
 def simulate_groove_errors(
     geometry: Geometry, gauges: Layout, noise_strain: float, *, repeats: int, seed: int
 ) -> GrooveErrors:
-    """Return the errors by independent, normal gauge noise (noise_strain per reading) in the paper's grooves: each
-    repeat fits V = A F to those of 0 to 90 degrees (section 4.3), inverts A, and reads every groove once more."""
+    """Return the errors by equal normal gauge noise (standard deviation of a reading of three gauges) at the grooves:
+    each repeat fits V = A F in those of 0 to 90 degrees (section 4.3), then reads every groove once."""
     A = strain_matrix(geometry, gauges)
     rng, P_newtons, grooves = np.random.default_rng(seed), CALIBRATION_WEIGHT_NEWTONS, paper_grooves()
     F = force_vector(P_newtons, grooves.phi_rad, grooves.theta_rad)

@@ -1,5 +1,4 @@
-"""Tables 1, 2 and 3 of the paper, recomputed: coefficients, largest stresses and places, condition numbers by unit.
-Tension is positive, except in table_1(), which keeps the paper's signs; angles are in degrees, as the tables print."""
+"""Tables 1, 2 and 3 of the paper, recomputed. Tension is positive, except in table_1(); angles are in degrees."""
 
 import itertools
 from collections.abc import Mapping
@@ -11,9 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
-from tipforce.sensor.contact.estimate import force_vector
+from tipforce.sensor import Geometry, force_vector
 from tipforce.sensor.structure import strain
-from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, VERTICAL_POINTS, Layout, mirror
 from tipforce.sensor.structure.published import HALF_DIGIT, MEASURED_MATRICES
 
@@ -149,7 +147,7 @@ def table_3(geometry: Geometry, gauges: Layout) -> Table3Row:
 
 
 def condition_numbers_by_unit(geometry: Geometry, gauges: Layout) -> dict[str, float]:
-    """Return the condition numbers with F2 = M / r (the paper's), in N mm, in N m. Raises InputError for the layout."""
+    """Return the condition number with F2 as M / r (the paper's), and as moment in N mm and N m. Raises InputError."""
     return {unit: condition_at_length(geometry, gauges, u) for unit, u in moment_units(geometry).items()}
 
 
@@ -215,8 +213,7 @@ class RoundingRange(NamedTuple):
 
 
 def rounding_range(matrix: npt.ArrayLike) -> RoundingRange:
-    """Return the range of condition numbers over all matrices (3, 3) whose entries round to the given ones. Of the 512
-    corners of the box of entries, which is small: curvature adds under 1e-4."""
+    """Return the condition numbers of all (3, 3) that round to the given one, by the 512 corners of the entries."""
     centre = np.asarray(matrix, dtype=np.float64)
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=centre.size))).reshape(-1, *centre.shape)
     conditions = np.linalg.cond(centre + HALF_DIGIT * signs)
@@ -224,8 +221,7 @@ def rounding_range(matrix: npt.ArrayLike) -> RoundingRange:
 
 
 def shared_gauge_disagreement() -> dict[str, float]:
-    """Return per gauge of several cases the difference of its rows, relative to the longest of them. The same gauge on
-    the same body must have one row; the largest entry of the difference counts."""
+    """Return per gauge of several cases the difference of its rows, which must be one, relative to the longest."""
     rows: dict[str, list[FloatArray]] = {"S_H": [], "L": [], "U": []}
     for case in CASES:
         for point, row in zip(LAYOUTS[case], np.linalg.inv(np.array(MEASURED_MATRICES[case])), strict=True):
@@ -237,8 +233,7 @@ def shared_gauge_disagreement() -> dict[str, float]:
 def nearest_common_shifts(
     geometry: Geometry, conditions: dict[str, float], steps: int = 25
 ) -> tuple[dict[str, float], float]:
-    """Return (metres inward of K, S, L, R, U, one set for all three cases, that best fit the condition numbers; the
-    largest miss), of every combination of `steps` shifts from 0 to 6 mm."""
+    """Return (metres inward of K, S, L, R, U, 0 to 6 mm, that best fit the condition numbers; the largest miss)."""
     grid = np.linspace(0.0, 6e-3, steps)
     points = ("K_H", "S_H", "L", "R", "U")
     rows = strain.shifted_matrix(geometry, points, np.repeat(grid[:, np.newaxis], len(points), axis=1))
@@ -248,10 +243,7 @@ def nearest_common_shifts(
 
 def nearest_common(rows: Mapping[str, FloatArray], conditions: Mapping[str, float]) -> tuple[dict[str, int], float]:
     """Return (index of the place of each gauge, largest miss) that best fit the condition numbers of the cases. rows:
-    strain per newton (m, 3) of K, S, L, R, U at m places each.
-
-    Case I holds K, S and U, case II L, S and U, case III L, R and U, so K and R can be chosen last, each alone.
-    """
+    strain per newton (m, 3) of K, S, L, R, U at m places each. K (case I) and R (III) are chosen last, each alone."""
     missed = {}
     for case in CASES:
         first, second, third = (rows[point] for point in LAYOUTS[case])

@@ -1,8 +1,6 @@
-"""Impact of a body on the tip, or of the finger on a stop: contact force and times, and the gauges' readings. Linear
-contact is exact (switched.py), Hertzian contact scipy's DOP853; it starts at time 0, may open and close again, and is
-lossless. States: omega q and q' of every mode (mass-normalised), overlap and speed of the body, the load and its rate,
-and a constant, scaled so that energy is half the sum of their squares.
-"""
+"""Impact of a body on the tip, or of the finger on a stop. Linear contact is exact (switched.py), Hertzian contact
+scipy's DOP853; it starts at time 0, may open and close again, and is lossless. States: omega q and q' of every mode,
+overlap and speed of the body, the load and its rate, and a constant; energy is half the sum of squares."""
 
 from __future__ import annotations
 

@@ -1,6 +1,5 @@
-"""Integrators for comparison only (other modules use first_order_hold.py), and the error of none. All return the
-elastic force (m, 3) at times (m,), infinite or NaN where unstable; a contact is a force that is 0 while open.
-closed_form() is their reference."""
+"""Other integrators, for comparison with first_order_hold.py alone, closed_form() as reference; and the error of none.
+All return the elastic force (m, 3) at times (m,), infinite or NaN if unstable; an open contact is a force of 0."""
 
 import math
 from collections.abc import Callable
@@ -56,7 +55,7 @@ def no_load(time_s: float) -> FloatArray:
 
 
 def runge_kutta_4(problem: Problem, load: Load, times_s: npt.ArrayLike) -> FloatArray:
-    """Integrate by the classic method, order 4, a step from each time to the next; limit: rk4_stability_limit()."""
+    """Integrate by the classic method, order 4, a step from time to time, stable up to rk4_stability_limit()."""
     t = _times(times_s)
     X, elastic = problem.start, [problem.output @ problem.start]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -77,8 +76,7 @@ def newmark(problem: Problem, load: Load, times_s: npt.ArrayLike) -> FloatArray:
 
 
 def generalised_alpha(problem: Problem, load: Load, times_s: npt.ArrayLike, rho_inf: float = 0.8) -> FloatArray:
-    """Integrate as Chung and Hulbert (1993): order 2, stable at any step; rho_inf, 0 to 1, is the factor per step of a
-    mode that is far too fast for it."""
+    """Integrate as Chung and Hulbert (1993): order 2, stable; rho_inf, 0 to 1: factor a step of a far too fast mode."""
     return _alpha(problem, load, times_s, (2.0 * rho_inf - 1.0) / (rho_inf + 1.0), rho_inf / (rho_inf + 1.0))
 
 
@@ -103,8 +101,7 @@ def scipy_method(problem: Problem, load: Load, times_s: npt.ArrayLike, method: s
 
 
 def rk4_stability_limit(damping_ratio: float) -> float:
-    """Return the largest omega h at which RK4 does not amplify a mode: |R(z)| = 1 for its stability polynomial R.
-    Undamped 2 sqrt(2). Raises InputError for a damping ratio outside 0 to 1e6."""
+    """Return the largest omega h at which RK4 amplifies no mode. Raises InputError for ratios outside 0 to 1e6."""
     if not 0.0 <= damping_ratio <= HIGHEST_DAMPING_RATIO:
         raise InputError(f"damping_ratio = {damping_ratio!r}: allowed is 0 to {HIGHEST_DAMPING_RATIO:g}")
     zeta = complex(damping_ratio)
@@ -123,8 +120,8 @@ def rk4_stability_limit(damping_ratio: float) -> float:
 def _alpha(problem: Problem, load: Load, times_s: npt.ArrayLike, alpha_m: float, alpha_f: float) -> FloatArray:
     """Newmark's family in accelerations. The contact is open or closed at the end of each step: both are tried."""
     t = _times(times_s)  # equally spaced
-    K, C, shape, d, v, output, along = _second_order(problem)
-    h = float(t[1] - t[0])
+    K, C, shape, v, output, along = _second_order(problem)
+    d, h = np.zeros_like(v), float(t[1] - t[0])
     gamma, beta = 0.5 - alpha_m + alpha_f, 0.25 * (1.0 - alpha_m + alpha_f) ** 2
     f, m = 1.0 - alpha_f, 1.0 - alpha_m
     pressed = problem.stiffness * np.outer(along, along)
@@ -147,24 +144,17 @@ def _alpha(problem: Problem, load: Load, times_s: npt.ArrayLike, alpha_m: float,
     return np.array(elastic)
 
 
-def _second_order(
-    problem: Problem,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Mass-normalised: K, C (N,) diagonals, load shape (N, 3), start d, v (N,), output (3, N), overlap row (N,)."""
-    modes, striker = problem.modes, problem.striker
-    omega = modes.omega_rad_s
-    K, C = omega * omega, 2.0 * modes.damping_ratio * omega
-    output = modes.force_shape * omega * omega
-    n = len(omega)
+def _second_order(problem: Problem) -> tuple[FloatArray, ...]:
+    """Mass-normalised: K, C (N,) diagonals, load shape (N, 3), start v (N,), output (3, N), overlap row (N,)."""
+    modes, striker, omega = problem.modes, problem.striker, problem.modes.omega_rad_s
+    K, C, output = omega * omega, 2.0 * modes.damping_ratio * omega, modes.force_shape * omega * omega
     if striker is None:
-        return K, C, modes.load_shape, np.zeros(n), np.zeros(n), output, np.zeros(n)
+        return K, C, modes.load_shape, np.zeros_like(omega), output, np.zeros_like(omega)
     root = striker.mass_kg**0.5
     along = np.append(-modes.load_shape @ striker.direction, 1.0 / root)
-    v = np.append(np.zeros(n), striker.speed_m_s * root)
-    return (
-        np.append(K, 0.0), np.append(C, 0.0), np.vstack((modes.load_shape, np.zeros(3))), np.zeros(n + 1), v,
-        np.hstack((output, np.zeros((3, 1)))), along,
-    )  # fmt: skip
+    v = np.append(np.zeros_like(omega), striker.speed_m_s * root)
+    shape, output = np.pad(modes.load_shape, ((0, 1), (0, 0))), np.pad(output, ((0, 0), (0, 1)))
+    return np.append(K, 0.0), np.append(C, 0.0), shape, v, output, along
 
 
 def _times(times_s: npt.ArrayLike) -> FloatArray:
@@ -238,8 +228,7 @@ def quasi_static_error(modes: Modes, frequency_hz: npt.ArrayLike) -> FloatArray:
 
 
 def frequency_of_error(modes: Modes, error: float) -> float:
-    """Return the lowest frequency in Hz at which quasi_static_error() reaches ``error``, by bisection. Raises
-    InputError unless 0 < error <= 0.5: a larger one is near resonance."""
+    """Return the lowest Hz at which quasi_static_error() is ``error``. Raises InputError unless 0 < error <= 0.5."""
     if not 0.0 < error <= 0.5:
         raise InputError(f"error = {error!r}: allowed is above 0, at most 0.5")
     low, high = 0.0, 0.9 * float(modes.frequency_hz[0])

@@ -1,8 +1,6 @@
-"""The outline of the fingertip body (assumed: the paper does not state that of figure 2) and its triangles: a grid of
-lines mapped to the body's shape. x to the right, y away from the fixture, the origin in the middle of the horizontal
-beam, symmetric about x = 0. Around a re-entrant corner the cells form rings, ring k of m as far from the corner as (k /
-m)^grading. A graded mesh has as many unknowns as the uniform one (grading = 1), and that of 2 n the nodes of that of n.
-"""
+"""The outline of the body (assumed: the paper does not state that of figure 2) and its triangles: a grid of lines
+mapped to its shape. x to the right, y away from the fixture, origin in the middle of the horizontal beam. Cells form
+rings around a re-entrant corner, ring k of m as far as (k / m)^grading. A mesh of 2 n has the nodes of n."""
 
 import math
 from collections.abc import Sequence
@@ -160,9 +158,8 @@ STATED = Outline()
 """The default outline of documents and reports."""
 
 GRADING = 4.0
-"""A gauge that ends in a corner reads its own displacement, wrong by (size of the smallest cell)^0.5445: the order is
-0.5445 times the grading. 5.5 would give 3, the most that P2 can, but up to 2e5 unknowns its wide outer rings still make
-condition numbers twice as wrong."""
+"""A gauge that ends in a corner is wrong by (size of the smallest cell)^0.5445: the order is 0.5445 times the grading.
+5.5 would give 3, the most of P2, but up to 2e5 unknowns its wide outer rings double the error of condition numbers."""
 PATCH_M = 0.3e-3
 """Extent of the rings of a corner if no other dimension limits them."""
 RINGS = 2

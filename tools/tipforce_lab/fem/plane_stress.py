@@ -1,5 +1,5 @@
-"""Plane elasticity with scikit-fem: P2 triangles, one sparse factorisation, three loads. A gauge reads the difference
-of displacement of its ends over its length, finite also at a re-entrant corner. E and width are 1 inside."""
+"""Plane elasticity of the body with scikit-fem: P2 triangles, one sparse factorisation for three loads, E = width = 1.
+A gauge reads the difference of displacement between its ends, finite also at a re-entrant corner."""
 
 import math
 from collections.abc import Sequence
@@ -73,8 +73,7 @@ class Solution:
 
 
 def solve(model: Model) -> Solution:
-    """Mesh, assemble, factorise once, solve for three loads. Raises InputError if the patch contains no side of the
-    mesh, EnvironmentLackError without scikit-fem."""
+    """Solve for three loads. Raises InputError if the patch holds no side of the mesh, EnvironmentLackError."""
     try:
         from scipy.sparse.linalg import splu
         from skfem import Basis, ElementTriP2, ElementVector, MeshTri
@@ -216,10 +215,8 @@ def face(solution: Solution, gauge: GaugePosition) -> Face:
 
 
 def strain_matrix(solution: Solution, gauges: Sequence[Gauge], gauge_length_m: float = GAUGE_LENGTH_M) -> FloatArray:
-    """Return the strain per newton of F, (n, 3), tension positive, averaged over the length of each gauge; at a point
-    (length 0) it converges away from corners only. gauges: positions of their middles, or points of Table 1, replaced
-    by nearest_place(). Raises InputError for a gauge that reaches beyond its face.
-    """
+    """Return the strain per newton of F, (n, 3), tension positive, averaged over each gauge; at a point (length 0) it
+    diverges in corners. Points of Table 1: at nearest_place(). Raises InputError for a gauge beyond its face."""
     if not 0.0 <= gauge_length_m < np.inf:
         raise InputError(f"gauge_length_m = {gauge_length_m!r}: allowed is 0 (a point) or more, finite")
     rows = [_row(solution, gauge, gauge_length_m) for gauge in gauges]
@@ -292,8 +289,7 @@ class Limit(NamedTuple):
 
     value: float
     error: float
-    """1.25 times the finest value's distance from its limit (Roache's grid convergence index), the order at most 3, as
-    of P2; without an observable order, the larger of the last two changes."""
+    """1.25 times the finest value's distance from its limit (Roache); without an order the larger last change."""
     order: float
     """NaN: the differences do not decrease with one sign, and the value is the finest one."""
 
@@ -311,8 +307,7 @@ def extrapolate(values: Sequence[float]) -> Limit:
 
 
 def extrapolate_matrix(values: Sequence[FloatArray]) -> tuple[FloatArray, float]:
-    """Return the limit of the last three matrices, n, 2 n, 4 n, and its error, relative in the Frobenius norm. One
-    ratio for all entries: entry by entry it would divide by differences that are only rounding."""
+    """Return the limit of the last three matrices, one ratio for all entries, and its relative error (Frobenius)."""
     coarse, middle, fine = values[-3:]
     ratio = float(np.linalg.norm(middle - coarse) / np.linalg.norm(fine - middle))
     change = (fine - middle) / max(min(ratio, 2.0**MOST_ORDER) - 1.0, 1.0)
@@ -320,11 +315,8 @@ def extrapolate_matrix(values: Sequence[FloatArray]) -> tuple[FloatArray, float]
 
 
 def corner_exponent(material_angle_rad: float, mode: str) -> float:
-    """Return lambda, displacement ~ r^lambda, of a corner with free faces (Williams 1952); 270 degrees: 0.5445, 0.9085.
-
-    The smallest root above 1/2 of sin(lambda w) + s lambda sin(w) = 0, s = 1 (opening) or -1 (sliding), w the angle of
-    material. Raises InputError for an unknown mode, or an angle at which it is not singular.
-    """
+    """Return lambda, displacement ~ r^lambda, of a corner with free faces (Williams 1952): the smallest root above 1/2
+    of sin(lambda w) + s lambda sin(w) = 0, s = 1 (opening) or -1 (sliding). Raises InputError if it is not singular."""
     from scipy.optimize import brentq
 
     if mode not in MODES:

@@ -245,7 +245,7 @@ def _draw_series(axes: Axes, study: Study, number: int, floor: float) -> None:
 
 
 def _frame(axes: Axes, study: Study, zero: float | None) -> None:
-    """Show at least two decades per axis (labels), a band up to the reference's error, a line for errors of zero."""
+    """Show at least two decades on each axis, a band up to the reference's error if near, and a line for zero."""
     for (low, high), set_limits in ((axes.get_xlim(), axes.set_xlim), (axes.get_ylim(), axes.set_ylim)):
         short = 2.0 - math.log10(high / low)
         if short > 0.0:
@@ -261,8 +261,7 @@ def _frame(axes: Axes, study: Study, zero: float | None) -> None:
 
 
 def svg(study: Study) -> str:
-    """Return the plot as an <svg> element without file header; identifiers contain the study's key, so that a page can
-    hold many, and attributes replace styles, which a strict CSP forbids."""
+    """Return the plot as an <svg> element; identifiers contain the key, attributes replace styles (a strict CSP)."""
     with plotting():
         drawn, out, key = figure(study), io.StringIO(), study.key
         drawn.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})

@@ -13,8 +13,8 @@ from tipforce.dictionary import indices
 from tipforce.host.configuration.calibration import RECORD, Calibration, write_calibration
 from tipforce.host.configuration.calibration_file import fit_table
 from tipforce.host.configuration.measurements import Measurements
-from tipforce.sensor.calibration.fit import Fit
 from tipforce.sensor.calibration.outliers import rejections
+from tipforce.sensor.calibration.result import Fit
 from tipforce.sensor.contact.redundancy import detectable_strain, parity
 from tipforce.sensor.contact.scalar_redundancy import LEAST_SHARE
 from tipforce_tools.cli import common
@@ -47,7 +47,7 @@ def notes(result: Fitted) -> Iterator[str]:
     """What a person should look at before he trusts the fit."""
     request, data, _, fit, model, scores, calibration = result
     yield from (f"column {name} is not used" for name in data.ignored_columns)
-    if len(scores) > 1:
+    if request.drift is None and len(scores) > 1:
         others = ", ".join(f"{name} {score:.1f}" for name, score in sorted(scores.items(), key=lambda pair: -pair[1]))
         yield f"drift {fit.drift}: predicts left-out rows best (hold-out score: {others})"
     if fit.sigma0_loaded > 1.4 and (model.phi_scatter_rad or model.noise_strain is not None):

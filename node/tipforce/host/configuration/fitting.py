@@ -12,8 +12,9 @@ from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurements import MODES, Measurements
+from tipforce.sensor import Fit, Model, Readings, beam_prior
 from tipforce.sensor.calibration.data import require_degrees, require_no_rail, require_order, require_size
-from tipforce.sensor.calibration.fit import Fit, Model, Readings, beam_prior, best_fit, fit_with_drift
+from tipforce.sensor.calibration.fit import best_fit
 from tipforce.sensor.calibration.result import rounded, to_digits
 from tipforce.sensor.calibration.statistics import overload_newtons, redundancy_limit
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
@@ -104,7 +105,7 @@ def fitted(request: FitRequest, data: Measurements, note: Callable[[str], None] 
     require_degrees(readings)
     loads = np.stack((readings.P_newtons, readings.phi_rad, readings.theta_rad), axis=-1)
     require_no_rail(readings.strain, loads, request.model.saturation_strain, data.line)
-    fit, model, scores = (fit_with_drift if request.drift else best_fit)(readings, request.model)
+    fit, model, scores = best_fit(readings, request.model, [request.drift] if request.drift else None)
     if request.theory is None:
         typical = np.sqrt(np.mean(np.square(strain_matrix(FABRICATED, "I"))))
         require_size(fit.A, np.full(fit.A.shape, typical), ALLOWED_WITHOUT, "a gauge of the paper's fingertip")

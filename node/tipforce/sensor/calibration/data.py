@@ -108,8 +108,8 @@ class Model:
     noise_strain: float | FloatArray | None = None
     """Standard deviation of a gauge reading, if it is known (scalar or (n,)); None: estimated from the residuals."""
     saturation_strain: float | FloatArray | None = None
-    """Converter limit (scalar or (n,)): readings at or beyond it are left out. inf: there is none. None: not known, and
-    an extreme reading that repeats is refused."""
+    """Converter limit (scalar or (n,)), readings at it are left out. inf: none. None: unknown, a repeated one is
+    refused."""
     prior: Prior | None = None
 
 

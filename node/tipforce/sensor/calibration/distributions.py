@@ -10,11 +10,8 @@ _TINY = 1e-300
 
 
 def variance_factors(dof: float, spare: int) -> tuple[float, float]:
-    """Return (of gauge noise, of parameters): factors with which 1.96 standard uncertainties hold 95 %, for a noise
-    covariance with dof > spare + 1 degrees of freedom (else InputError), ``spare`` = n - 3: Student's t over the
-    normal, squared. The variance stated is (dof - spare) / dof of that with the true weights, that of the force (dof -
-    1) / (dof - spare - 1) of it (Rao 1967).
-    """
+    """Return (of gauge noise, of parameters): factors with which 1.96 standard uncertainties hold 95 %: Student t over
+    the normal, squared, with ``spare`` = n - 3 gauges by Rao (1967). Raises InputError unless dof > spare + 1."""
     if isinf(dof):
         return 1.0, 1.0
     left = dof - spare

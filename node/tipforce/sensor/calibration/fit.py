@@ -10,19 +10,13 @@ import numpy.typing as npt
 from tipforce.arrays import BoolArray, FloatArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.calibration import regressors, statistics
-from tipforce.sensor.calibration.data import Model, Prior, Readings, beam_prior, checked
+from tipforce.sensor.calibration.data import Model, Readings, checked
 from tipforce.sensor.calibration.distributions import f_quantile
 from tipforce.sensor.calibration.outliers import outlying, rejections, suspects
 from tipforce.sensor.calibration.regressors import OffsetBasis
-from tipforce.sensor.calibration.result import Fit, LoadResidual, Temperature, covariance_of_estimate, kronecker
+from tipforce.sensor.calibration.result import Fit, Temperature
 from tipforce.sensor.calibration.solve import Problem, Solution, pick, solve
 from tipforce.sensor.contact.estimate import force_vector
-
-__all__ = [
-    "Fit", "LoadResidual", "Model", "Prior", "Readings",
-    "beam_prior", "covariance_of_estimate", "fit_calibration", "kronecker", "linear_fit",
-]  # fmt: skip
-
 
 MARGIN = 3.0
 """Standard deviations from the converter's limit within which a reading is left out."""
@@ -215,9 +209,3 @@ def best_fit(
         raise refused
     best = max(fits, key=lambda name: fits[name][0].hold_out_score)
     return *fits[best], {name: fit.hold_out_score for name, (fit, _) in fits.items()}
-
-
-def fit_with_drift(readings: Readings, model: Model) -> tuple[Fit, Model, dict[str, float]]:
-    """Return the same for the drift of the model alone; only the temperature coefficient is chosen."""
-    fit, chosen, _ = best_fit(readings, model, [model.drift])
-    return fit, chosen, {chosen.drift: fit.hold_out_score}

@@ -18,8 +18,7 @@ TRIALS, BEST, FIRST_STEPS, LAST_STEPS = 300, 8, 2, 12
 
 
 def squared_cuts(m: int, count: int, dof: FloatArray) -> FloatArray:
-    """Return the squared distance beyond which a row with ``count`` readings is an outlier, in the shape of dof. By the
-    F distribution, m rows together (Bonferroni). Infinite for too few degrees of freedom."""
+    """Return the squared distance beyond which a row with ``count`` readings is an outlier: F, m rows together."""
     able = dof > count + 1.5
     if not able.any():
         return np.full(dof.shape, np.inf)
@@ -32,8 +31,7 @@ def squared_cuts(m: int, count: int, dof: FloatArray) -> FloatArray:
 
 
 def outlying(problem: Problem, solution: Solution, judged: BoolArray) -> BoolArray:
-    """Return which rows are outliers of a fit, (m,): those left out of it are judged again. judged: (m, n), the
-    readings that count where a row is not an outlier."""
+    """Return which rows are outliers of a fit, (m,), those left out too. judged: (m, n), the readings that count."""
     counts = judged.sum(axis=1)
     used = problem.observed.any(axis=1)
     dof = noise_dof(problem, solution)
@@ -50,8 +48,7 @@ def outlying(problem: Problem, solution: Solution, judged: BoolArray) -> BoolArr
 
 
 def noise_dof(problem: Problem, solution: Solution) -> FloatArray:
-    """Return with how many degrees of freedom the noise of each row is known, (m,), at least 2 (Satterthwaite). The
-    gauge noise is estimated by what neither fit nor scatter of directions has taken up of each residual."""
+    """Return the degrees of freedom of each row's noise, (m,), at least 2 (Satterthwaite)."""
     if problem.Sigma is not None:
         return np.full(len(solution.R), 1e6)
     inverse = solution.R_inverse

@@ -18,8 +18,7 @@ class OffsetBasis(NamedTuple):
     """The offset of gauge k at row i is columns[i] @ coefficients[k]."""
 
     columns: FloatArray
-    """(m, q): q = 0 without an offset, 1 for a constant one, 2 for a linear drift; for tares a straight line from
-    first to last, then one kink for each tare between."""
+    """(m, q): none, constant, linear drift; for tares a straight line, then one kink for each tare between."""
     reference: FloatArray
     """(q,): the same columns at the last row, where the result gives the offset."""
     kinks: BoolArray
@@ -161,8 +160,7 @@ _EXAMPLES = (
 
 
 def require_seen(g: FloatArray, observed: BoolArray, names: Sequence[str], unit_newtons: float) -> None:
-    """Raise InputError naming each direction that no row sees, and which would. g: (m, p), forces in ``unit_newtons``,
-    then the offset's columns. observed: (m, n). names: (p)."""
+    """Raise InputError naming each direction that no row sees. g (m, p), in ``unit_newtons``; observed (m, n)."""
     for k in range(observed.shape[1]):
         design = g[observed[:, k]]
         padded = np.vstack((design, np.zeros((design.shape[1], design.shape[1]))))
@@ -178,8 +176,7 @@ def require_seen(g: FloatArray, observed: BoolArray, names: Sequence[str], unit_
 
 
 def require_clear(coefficients: FloatArray, covariance: FloatArray, names: Sequence[str], unit_newtons: float) -> None:
-    """Raise InputError naming a direction of load or offset that noise hides. coefficients: (n, 3 or 4), scaled as the
-    design, the offset last. covariance: (n, q, n, q)."""
+    """Raise InputError naming a direction that noise hides. coefficients (n, 3 or 4), covariance (n, q, n, q)."""
     n, q = coefficients.shape
     signal = np.linalg.norm(coefficients[:, :3], axis=1).max()
     for k in range(n):

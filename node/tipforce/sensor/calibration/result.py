@@ -1,5 +1,4 @@
-"""What a calibration fit hands back: the matrix, its uncertainty, and what speaks for or against it. ``rounded`` takes
-off digits that say nothing: equal data then give equal calibrations on every machine but once in a million values."""
+"""What a calibration fit hands back: the matrix, its uncertainty, and what speaks for or against it."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -82,11 +81,9 @@ class Fit:
     residual_covariance_strain2: FloatArray
     """S, (n, n): covariance of the residuals, with what the scatter of load directions adds."""
     N: FloatArray
-    """Sum of weight G G^T over all rows used, (4, 4), G = (F, 1); (3, 3) without offset. With a drift its Schur
-    complement for A and the offset at the last row."""
+    """Sum of weight G G^T over the rows used, (4, 4), G = (F, 1); (3, 3) without offset; a drift: at the last row."""
     parameter_covariance: FloatArray
-    """Covariance of (A row, offset) of all gauges, (n, 4, n, 4), strain^2 over newtons as the entries go: S (x) N^-1
-    where every row has the same noise."""
+    """Covariance of (A row, offset) of all gauges, (n, 4, n, 4), SI: S (x) N^-1 where every row has the same noise."""
     sigma0: float
     """Size of the residuals in units of what the noise model expects: near 1 where it is right."""
     sigma0_loaded: float
@@ -120,8 +117,7 @@ class Fit:
     hang_scatter: float
     """The same of the angle errors that are new in every row."""
     hold_out_score: float
-    """Sum over the rows of the logarithm of how likely each is by the fit without it, an outlier as one at the border.
-    Of fits to the same readings the larger is the better."""
+    """Sum over rows of the log likelihood by the fit without each, outliers at the border; the larger is the better."""
     converged: bool = True
     """False: the steps ended before the numbers settled."""
     nonlinearity: Nonlinearity | None = None
@@ -155,11 +151,10 @@ def covariance_of_estimate(
     *,
     offset_known: bool = False,
 ) -> FloatArray:
-    """Return C (Sigma_V + Q(F)) C^T (..., 3, 3), the covariance of F = C (V - b), N^2: Q(F)_kl = G^T cov(row k, row l)
-    G, G = (F, 1); offset_known: after a tare the 1 drops out (its own noise belongs into noise_covariance).
+    """Return C (Sigma_V + Q(F)) C^T (..., 3, 3), N^2, the covariance of F = C (V - b): Q(F)_kl = G^T cov(row k, row l)
+    G, G = (F, 1). offset_known: after a tare the 1 drops out, and its own noise belongs into noise_covariance.
 
-    C: (3, n). noise_covariance: (n, n), strain^2. parameter_covariance: (n, 4, n, 4). F: (..., 3). Raises InputError
-    for other shapes.
+    C: (3, n). noise_covariance: (n, n), strain^2. parameter_covariance: (n, 4, n, 4). F: (..., 3); else InputError.
     """
     matrix, F = floats("C", C), floats("F", F_newtons)
     n = matrix.shape[-1]
@@ -181,8 +176,7 @@ def covariance_of_estimate(
 
 
 def kronecker(residual_covariance: npt.ArrayLike, N: npt.ArrayLike) -> FloatArray:
-    """Return the parameter covariance S (x) N^-1, (n, 4, n, 4), from S (n, n) and N (4, 4), or (3, 3) without offset.
-    Raises InputError for other shapes or a singular N."""
+    """Return S (x) N^-1, (n, 4, n, 4), of S (n, n) and N (4, 4) or (3, 3). Raises InputError for shapes, singular N."""
     S, normal = np.asarray(residual_covariance, dtype=np.float64), np.asarray(N, dtype=np.float64)
     if S.ndim != 2 or S.shape[0] != S.shape[1] or normal.shape not in {(3, 3), (4, 4)}:
         raise InputError(f"S {S.shape}, N {normal.shape}: allowed are (n, n) and (4, 4) or (3, 3)")
@@ -214,7 +208,7 @@ def matrix_to_digits(C: npt.ArrayLike) -> FloatArray:
 
 
 def rounded(fit: Fit) -> Fit:
-    """Return the fit with all that goes into a calibration file rounded; residuals and diagnoses as they are."""
+    """Return the fit with what goes into a file rounded: equal data then give equal files on every machine."""
     per_newton = float(np.max(np.abs(fit.A), initial=0.0))
     matrices = ("noise_covariance_strain2", "residual_covariance_strain2", "parameter_covariance")
     numbers = (

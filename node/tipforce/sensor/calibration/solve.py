@@ -1,6 +1,5 @@
-"""Generalised least squares for V = A F + b with noise that differs from row to row, its variances estimated (REML),
-and with random angles of the grooves and of the rows. Rows are whitened, the groove's effect is taken off by a square
-root of its marginal covariance, and the rest is solved by QR."""
+"""Generalised least squares for V = A F + b with noise that differs from row to row: its variances, and those of a
+load's direction by groove and by row, are estimated (REML). Whitened rows are solved by QR."""
 
 from __future__ import annotations
 
@@ -72,8 +71,6 @@ class Solution(NamedTuple):
     scatter: Scatter
     residual: FloatArray
     """(m, n), of every row, used or not; what the groove's own angle explains is taken off."""
-    unexplained: FloatArray
-    """(m, n): reading less fit, the groove's angle left in."""
     R: FloatArray
     """(m, n, n): the covariance of each row's own noise."""
     R_inverse: FloatArray
@@ -137,8 +134,7 @@ def _kink_variance_of(problem: Problem, solution: Solution) -> FloatArray:
 
 
 def _noise_of(problem: Problem, solution: Solution) -> FloatArray:
-    """One step of expectation-maximisation for the gauge noise, restricted likelihood, readings left out imputed: e e^T
-    + H undoes what the fit has absorbed. Without direction scatter it ends at the sum of e e^T / (rows - unknowns)."""
+    """One step of expectation-maximisation for the gauge noise (REML): e e^T + H undoes what the fit has absorbed."""
     used = problem.observed.any(axis=1)
     row_noise = solution.Sigma / problem.weight[:, np.newaxis, np.newaxis]
     gain = row_noise @ solution.R_inverse
@@ -217,8 +213,7 @@ class Extra(NamedTuple):
 
 
 def extra(problem: Problem, solution: Solution, columns: FloatArray) -> Extra:
-    """Return coefficients of further columns (m, n, k), strain per unit of each, by the noise of the fit. Raises
-    LinAlgError where the rows do not determine them."""
+    """Return coefficients of further columns (m, n, k). Raises LinAlgError where the rows do not determine them."""
     n, p, k = problem.V.shape[1], problem.g.shape[1], columns.shape[2]
     AD = solution.coefficients[:, :3] @ problem.D
     whitener = _whitener(solution.R, problem.observed)
@@ -266,8 +261,7 @@ def _step(
     coefficients, blocks = beta.reshape(n, p), (root @ root.T).reshape(n, p, n, p)
     of_beta = effect.conditional(X)
     moved = effect.conditional(y - X @ beta[:, np.newaxis])
-    unexplained = problem.V - problem.g @ coefficients.T
-    residual = unexplained - (common @ moved)[..., 0]
+    residual = problem.V - problem.g @ coefficients.T - (common @ moved)[..., 0]
     # A fitted value is (g - B K T) beta + B z, z the part of the groove's angle that the readings leave open.
     design = np.einsum("kl,ip->iklp", np.eye(n), problem.g).reshape(len(u), n, n * p) - common @ of_beta
     share = design @ root
@@ -279,7 +273,7 @@ def _step(
     left_open = effect.open + (of_beta @ root) @ (of_beta @ root).transpose(0, 2, 1)
     decided = 2.0 - np.trace(left_open[first], axis1=1, axis2=2)
     return Solution(
-        coefficients, blocks, Sigma, restless, scatter, residual, unexplained, R, inverse, H, distance, leverage,
+        coefficients, blocks, Sigma, restless, scatter, residual, R, inverse, H, distance, leverage,
         moved[first, :, 0], decided, absorbed, dof, converged=False,
     )  # fmt: skip
 

@@ -51,7 +51,7 @@ def result(
     Sigma = solution.Sigma * problem.strain**2
     # By the covariance that the record holds: from the two a node with more than three gauges gets A back.
     C = weighted_inverse(A, Sigma)
-    residual = solution.unexplained * problem.strain
+    residual = (problem.V - problem.g @ solution.coefficients.T) * problem.strain  # the groove's angle left in
     noise_dof = solution.dof if model.noise_strain is None else float("inf")
     sigma0, loaded, unloaded = _sizes(problem, solution, readings.P_newtons > 0.0)
     return Fit(
@@ -166,8 +166,7 @@ FALSE_ALARM = 0.005
 def nonlinearity(
     problem: Problem, solution: Solution, C: FloatArray, sigma0: float, largest_newtons: float
 ) -> Nonlinearity | None:
-    """Return the test of a quadratic term; None where the rows do not determine one. C: (3, n) newtons per unit strain.
-    Residuals larger than the model expects (sigma0 above 1) widen the intervals."""
+    """Return the test of a quadratic term; None where the rows determine none. sigma0 above 1 widens the intervals."""
     n, A = problem.V.shape[1], solution.coefficients[:, :3]
     elastic = problem.g[:, :3] @ A.T
     trials: list[tuple[float, bool, Extra]] = []
@@ -260,12 +259,9 @@ FALSE_ALARM_RATE = 1e-6
 def redundancy_limit(
     A: FloatArray, Sigma: FloatArray, parameter_covariance: FloatArray, dof: float, largest_newtons: float
 ) -> float:
-    """Return the limit of chi-square (2116h) for one false alarm in a million samples; 0 for three gauges.
-
-    A: (n, 3), strain per newton; Sigma: (n, n), of one reading, known with ``dof`` degrees of freedom (Hotelling);
-    parameter_covariance: (n, 4, n, 4), at the worst load up to ``largest_newtons``. Raises InputError for a covariance
-    that is not positive definite, or dof of n - 2 or less.
-    """
+    """Return the limit of chi-square (2116h) for one false alarm in a million samples; 0 for three gauges. A (n, 3),
+    strain per newton; Sigma (n, n), known with ``dof`` (Hotelling); parameter_covariance (n, 4, n, 4), at the worst
+    load. Raises InputError for a Sigma that is not positive definite, or dof of n - 2 or less."""
     n = len(A)
     if n == 3:
         return 0.0

@@ -40,8 +40,7 @@ class Hold(NamedTuple):
 
 
 def hold(x: float, zeta: float) -> Hold:
-    """Return the coefficients for x = omega h >= 0 and the damping ratio zeta >= 0, both finite. Relative error of the
-    response about 1e-15, from x = 1e-150 to 1e300."""
+    """Return the coefficients for x = omega h and zeta, 0 or more and finite: to 1e-15 for x from 1e-150 to 1e300."""
     if x == 0.0:
         return Hold(1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
     s, step, ramp, p22 = _responses(x, zeta)
@@ -182,8 +181,8 @@ def checked_loads(loads_newtons: npt.ArrayLike) -> FloatArray:
 
 
 def _scan(held: FloatArray, drive: FloatArray, start: State) -> tuple[FloatArray, FloatArray]:
-    """Return all states (m, n) by about 2 sqrt(m) passes: blocks start from zero at once, then the end of each is
-    carried on by powers of the step's matrix (multiples would round at thousands of radians a step)."""
+    """Return all states (m, n) of the recurrence by blocks that start from zero: 2 sqrt(m) passes through Python. Their
+    ends are carried on by powers of the step's matrix; multiples of a step would round."""
     steps, n = drive.shape[1:]
     if steps == 0:
         return start.position[np.newaxis], start.velocity[np.newaxis]

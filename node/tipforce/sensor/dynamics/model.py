@@ -193,9 +193,8 @@ _SWEEPS = 60
 
 
 def jacobi(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (values (n,), vectors (n, n) as columns), largest value first, by Jacobi's rotations: unlike
-    numpy.linalg.eigh, small eigenvalues keep their digits, a thin beam's beside a thick one's (Demmel, Veselic 1992).
-    """
+    """Return (values (n,), vectors (n, n) as columns), largest first, by Jacobi's rotations: unlike numpy.linalg.eigh,
+    small eigenvalues keep their digits (Demmel, Veselic 1992)."""
     A, Q = matrix.copy(), np.eye(len(matrix))
     pairs = [(i, j) for i in range(len(A)) for j in range(i + 1, len(A))]
     for _ in range(_SWEEPS):

@@ -5,9 +5,8 @@ from collections.abc import Iterable, Sequence
 from tipforce.errors import InputError
 
 POINTS = ("L", "R", "T", "U", "K_H", "S_H", "K_V", "S_V")
-"""Gauge points in the order of Table 1; L, R, K_H, S_H on the horizontal beam, the others on the vertical. L and R are
-the outer ends, T and U the fixture end, K and S the two inner corners of the joint; L, T and K lie at negative x, R, U
-and S at positive x."""
+"""Gauge points in the order of Table 1: L, R at the outer ends and K_H, S_H at the joint of the horizontal beam; T, U
+at the foot and K_V, S_V at the joint of the vertical one. L, T and K lie at negative x."""
 
 VERTICAL_POINTS = frozenset({"T", "U", "K_V", "S_V"})
 MIN_GAUGES, MAX_GAUGES = 3, 8

@@ -1,9 +1,7 @@
-"""Loads out of the plane: their effect on the gauges by a three-dimensional beam model (section 3.3 of the paper). x
-along the horizontal beam, y from the fixture to the tip, z along the width; origin at the middle of the horizontal
-beam. Rigid tip and joint; Euler-Bernoulli bending in both planes, axial force, St Venant's torsion, with warping free,
-or (Vlasov) restrained at every beam end: then the shear of torsion vanishes there, but an axial strain y z phi''
-replaces it, to which a gauge off the centre line responds. Neglected: shear, compliance of the rest, corners.
-"""
+"""Loads out of the plane by a three-dimensional beam model (section 3.3 of the paper). x along the horizontal beam, y
+from fixture to tip, z along the width; origin in the middle. Rigid tip and joint; Euler-Bernoulli bending, axial force,
+St Venant's torsion with warping free, or (Vlasov) restrained at every end: its shear then gives way to an axial strain
+y z phi''. Neglected: shear, corners."""
 
 import itertools
 from math import cos, exp, pi, sin, sqrt, tanh
@@ -72,8 +70,7 @@ class _Section:
 
 
 def torsion_constants(width_m: float, thickness_m: float) -> tuple[float, float]:
-    """Return (J, W) of a rectangle, m^4 and m^3 (St Venant): twist per length T / (G J), largest shear stress T / W.
-    Raises InputError where thickness is not the smaller side."""
+    """Return (J, W) of a rectangle, m^4, m^3 (St Venant). Raises InputError where thickness is not the smaller side."""
     if not 0.0 < thickness_m <= width_m:
         raise InputError(f"thickness {thickness_m!r} m of a beam {width_m!r} m wide: allowed is above 0, up to it")
     slenderness = width_m / thickness_m
@@ -104,9 +101,7 @@ def wrench_strain_matrix(geometry: Geometry, gauges: list[PlacedGauge], *, warpi
 
 def planar_part(geometry: Geometry, wrench_matrix: FloatArray) -> FloatArray:
     """Return the part of the (n, 6) matrix for F = (F1, F2, F3): (n, 3). F1 = Fy, F2 = Mz / r, F3 = Fx."""
-    return np.stack(
-        (wrench_matrix[:, 1], geometry.r_m * wrench_matrix[:, 5], wrench_matrix[:, 0]), axis=-1, dtype=np.float64
-    )
+    return np.ascontiguousarray(wrench_matrix[:, [1, 5, 0]] * [1.0, geometry.r_m, 1.0])
 
 
 def off_axis_wrenches(geometry: Geometry, theta_rad: npt.ArrayLike) -> FloatArray:
@@ -153,7 +148,7 @@ def apparent_force(
 
 
 def _arm_loads(beam: _Section) -> dict[str, FloatArray]:
-    """Return per arm the (6, 6) map of a tip wrench to the load at its outer end: parallel springs of rigid bodies."""
+    """Return per arm the (6, 6) map from a wrench on the tip to its load: two springs in parallel."""
     L, in_plane, out = beam.length_m, beam.bend_in_plane, beam.bend_out_of_plane
     # Restrained warping stiffens the ends: what is left twists freely.
     held = 2.0 * beam.decay_m * tanh(0.5 * L / beam.decay_m) if beam.decay_m else 0.0

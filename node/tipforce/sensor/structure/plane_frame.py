@@ -1,11 +1,7 @@
-"""A plane frame by the direct stiffness method, an independent model of the body, and the loads that a body stands.
-Three rigid bodies (fixture, joint, tip) and three elastic beams of one element each: the vertical beam and the two arms
-of the horizontal one. x to the right, y away from the fixture; tension is positive. EULER_BERNOULLI (rigid roots, joint
-without width) equals Table 1 of the paper to rounding.
-
-The unknowns are the motion of the joint relative to the fixture and of the tip relative to the joint: then no stiffness
-is added to one 1e14 times smaller, and with diagonal scaling a body of 1 nm thickness is solved to rounding.
-"""
+"""A plane frame by the direct stiffness method: fixture, joint and tip are rigid, the vertical beam and both arms
+elastic. x to the right, y away from the fixture; tension is positive. EULER_BERNOULLI equals Table 1 to rounding. The
+unknowns are the motions of the joint relative to the fixture and of the tip relative to the joint: no stiffness is
+added to a far smaller one, and with diagonal scaling a body of 1 nm thickness is solved to rounding."""
 
 import math
 from collections.abc import Sequence
@@ -40,11 +36,9 @@ class FrameModel:
     shear: bool = False
     """True: Timoshenko beams, with shear deformation. False: Euler-Bernoulli."""
     root_rotation: float = 0.0
-    """E b h^2 times rotation per moment of each of the six beam ends, the joint's included: a spring in series with the
-    beam; 0 is rigid, HALF_PLANE_ROTATION a large wall."""
+    """E b h^2 times rotation per moment of each of the six beam ends; 0: rigid, HALF_PLANE_ROTATION: a large wall."""
     finite_joint: bool = False
-    """True: the joint is a rigid block h2 wide, the arms start at its sides. False: they meet at its middle,
-    as in Table 1. In both the vertical beam starts h1 / 2 below the middle."""
+    """True: the joint is a rigid block h2 wide with the arms at its sides. False: they meet at its middle (Table 1)."""
 
 
 EULER_BERNOULLI = FrameModel()
@@ -97,8 +91,7 @@ class Frame:
         return np.array([self._row(gauge, gauge_length_m) for gauge in gauges], dtype=np.float64).reshape(-1, 3)
 
     def motions(self) -> tuple[FloatArray, FloatArray]:
-        """Return the motion of the tip relative to the joint, and of that relative to the fixture, per newton of F: (3,
-        3), rows u_m, v_m, rotation_rad."""
+        """Return the motions (3, 3) of tip to joint and of joint to fixture, per newton of F: (u_m, v_m, angle)."""
         return self._tip / self._scale, self._joint / self._scale
 
     def slit_closure(self, fractions: npt.ArrayLike) -> FloatArray:
@@ -142,7 +135,7 @@ class Frame:
 
 
 def _solve(elements: list[_Element], loads: FloatArray) -> FloatArray:
-    """Return the motion (u, v, rotation) per newton of three loads (3, 3), E = 1, width = 1, diagonal scaled to 1."""
+    """Return the motion (u, v, rotation) of a body per newton of three loads, (3, 3), for E = 1 and width = 1."""
     stiffness = np.sum([e.motion.T @ e.stiffness[3:, 3:] @ e.motion for e in elements], axis=0)
     diagonal = np.diagonal(stiffness)
     if not (np.isfinite(stiffness).all() and (diagonal > 1e-300).all()):

@@ -44,11 +44,8 @@ def nominal_position(geometry: Geometry, point: str) -> GaugePosition:
 def strain_row(
     geometry: Geometry, beam: Beam, side: Side, position_m: npt.ArrayLike, face: Face = "lower"
 ) -> FloatArray:
-    """Return the strain per newton of F, (..., 3), tension positive, at positions (...); arguments as of GaugePosition.
-
-    Table 1 at the eight points, linear between them: equations (5) and (6) with the lever arm in place of d, (4) to (3)
-    and (11) to (10). Raises InputError for an unknown beam, side or face, or a position off the beam.
-    """
+    """Return the strain per newton of F, (..., 3), tension positive, at positions (...): Table 1 at the eight points,
+    linear between them. Raises InputError for an unknown beam, side or face, or a position off the beam."""
     if beam not in ("H", "V") or side not in ("left", "right") or face not in ("lower", "upper"):
         raise InputError(
             f"gauge place beam {beam!r}, side {side!r}, face {face!r}: allowed are H or V, left or right, "
@@ -117,8 +114,7 @@ def place(geometry: Geometry, gauge: Gauge) -> GaugePosition:
 
 
 def check_gauges(geometry: Geometry, gauges: Sequence[Gauge]) -> tuple[Gauge, ...]:
-    """Return the gauges, SG1 first, if they are valid. Raises InputError for fewer than 3 or more than 8, an unknown
-    point, beam, side or face, a position off its beam, or two gauges at one place."""
+    """Return the gauges, SG1 first: 3 to 8 places, known, on their beams, no two the same; else raises InputError."""
     if not MIN_GAUGES <= len(gauges) <= MAX_GAUGES:
         raise InputError(f"a layout of {len(gauges)} gauge points: allowed are {MIN_GAUGES} to {MAX_GAUGES}")
     seen: dict[GaugePosition, Gauge] = {}
@@ -134,8 +130,7 @@ def check_gauges(geometry: Geometry, gauges: Sequence[Gauge]) -> tuple[Gauge, ..
 
 
 def gauge_matrix(geometry: Geometry, gauges: Sequence[Gauge]) -> FloatArray:
-    """Return the strain per newton of F, shape (n, 3), tension positive: Table 1, made continuous. Raises InputError as
-    check_gauges() does, and for a beam too thin for floating point."""
+    """Return the strain per newton of F, (n, 3), tension positive: Table 1, continuous. Raises as check_gauges()."""
     A = position_matrix(geometry, [place(geometry, gauge) for gauge in check_gauges(geometry, gauges)])
     if not np.isfinite(A).all():
         raise InputError(f"h1_m = {geometry.h1_m!r}, h2_m = {geometry.h2_m!r}: too thin, the strain is not finite")

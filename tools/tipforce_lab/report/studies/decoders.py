@@ -62,8 +62,7 @@ def _frames(rng: np.random.Generator, count: int) -> list[bytes]:
 
 
 def judge(rows: Rows, data: list[bytes], message: Message) -> tuple[float, int]:
-    """Return the largest error in steps of the resolution, and the number of unknown values decoded as numbers. The
-    right value is raw / divisor as a fraction, the definition of the resolution of 0.001 N and 0.01 degree."""
+    """Return the largest error in steps of the resolution, and the number of unknown values decoded as numbers."""
     divisors = [round(1 / signal.scale) for signal in message.signals[: len(MEASURED)]]
     worst, shown = Fraction(0), 0
     for row, frame in zip(rows, data, strict=True):

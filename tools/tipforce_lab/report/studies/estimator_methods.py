@@ -1,5 +1,5 @@
-"""Methods to compute P and theta from counts, timed as functions without arguments. In integers: int64 arrays for a
-microcontroller's registers, binary angles, 2^32 per turn. In MicroPython: its WebAssembly build under Node.js."""
+"""Methods to compute P and theta from counts, each prepared once, then timed. Integers are int64 arrays for registers,
+a narrower sum wraps, angles are binary, 2^32 per turn. MicroPython is its WebAssembly build under Node.js."""
 
 import binascii
 import json
@@ -64,8 +64,7 @@ process.stdout.write(lines.map((line) => line + "\\n").join(""));
 
 
 def run_micropython(files: Mapping[str, str], calls: Sequence[str]) -> list[str]:
-    """Run ``calls`` in sequence with ``files`` in the root of the file system; return the lines printed. Raises
-    EnvironmentLackError if Node.js or MicroPython is missing, or the code fails."""
+    """Run ``calls`` with ``files``; return the lines printed. Raises EnvironmentLackError if they cannot run."""
     node = shutil.which("node")
     if node is None:
         raise EnvironmentLackError("Node.js, which runs MicroPython here, is not installed (apt: nodejs)")
@@ -187,8 +186,7 @@ def bulk_float64(given: Contacts) -> Method:
 
 
 def single_precision(factored: bool, given: Contacts) -> Method:
-    """Return the bare formula in float32, without scaling and checks. factored: c^2 = (L - |F2|)(L + |F2|) + S^2, L and
-    S the larger and smaller of |F1|, |F3|; else P^2 - F2^2."""
+    """Return the bare formula in float32. factored: c^2 = (L - |F2|)(L + |F2|) + S^2; else P^2 - F2^2."""
     real = np.float32
     C = given.C.T.astype(real)
     counts = given.counts.astype(real)

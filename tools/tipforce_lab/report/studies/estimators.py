@@ -1,5 +1,4 @@
-"""Arithmetic of the estimator: counts to F = C V, then P and theta, in floating point, in integers, on MicroPython. The
-reference: random contacts as counts of a 24-bit converter, and the exact P and theta of these counts."""
+"""Arithmetic of the estimator, counts to P and theta, against the exact result of counts of a 24-bit converter."""
 
 from collections.abc import Callable
 from decimal import Decimal, localcontext
@@ -89,7 +88,7 @@ def _run(
     advance: Callable[[], None],
     known: _Results | None = None,
 ) -> _Results:
-    """Run all methods, timed, or with the times of ``known``; a failing one enters left_out, and is not tried again."""
+    """Run all methods, timed or with the times of ``known``; one that does not run is entered in left_out, once."""
     results: _Results = {}
     for method, settings in _METHODS.items():
         for setting, prepare in settings.items():

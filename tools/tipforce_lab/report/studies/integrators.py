@@ -10,9 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tipforce.arrays import FloatArray
-from tipforce.sensor.dynamics.first_order_hold import respond
+from tipforce.sensor import FABRICATED, Geometry, respond
 from tipforce.sensor.dynamics.model import STEEL_DENSITY, beam_mass_matrix, compliances, half_cylinder, modes
-from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.plane_frame import Frame
 from tipforce_lab.dynamics import integrators
 from tipforce_lab.dynamics.impact import Striker, impact

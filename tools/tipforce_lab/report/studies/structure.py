@@ -26,8 +26,7 @@ _Results = list[tuple[str, str, FloatArray, Timing]]
 
 
 def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
-    """Return two studies, of the condition numbers and of the strain matrix; they share models, runs and times. Without
-    scikit-fem there is no reference: both are returned without series, with the package to install."""
+    """Return two studies, of condition numbers and strain matrix; without scikit-fem both lack their series."""
     try:
         import scipy.sparse.linalg  # noqa: F401
         import skfem  # noqa: F401
