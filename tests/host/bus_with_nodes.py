@@ -119,10 +119,7 @@ def apply_load(connection: Bus, node_id: int, P: float, phi_deg: float, theta_de
 
 
 def fresh_sample(hand: PolledHand, timeout_s: float = 2.0) -> HandSample:
-    """The next row in which every finger that answers has a reading of its own.
-
-    A SYNC inside the same conversion as the one before (0.5 ms) repeats the sample and marks it stale, so unknown.
-    """
+    """The next row in which every finger that answers has a reading of its own: no SYNC within a conversion."""
     for _ in range(1000):
         row = hand.sample(timeout_s)
         contacts = [samples for (_, name), samples in row.messages.items() if name == "Contact"]

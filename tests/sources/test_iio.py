@@ -300,7 +300,11 @@ class Capture:
         return scan + (struct.pack("<q", 1000 * stamp_us) if self.stamped else b"")
 
     def source(self) -> IioSource:
-        return IioSource([self.device], 2, (24, 1.0), (-(1 << 23), (1 << 23) - 1), clock=lambda: 0)
+        """A source that has read a scan."""
+        found = IioSource([self.device], 2, (24, 1.0), (-(1 << 23), (1 << 23) - 1), clock=lambda: 0)
+        self.writer.write(self.put(1000, 1, 2))
+        assert found.read(1_000_000) is not None
+        return found
 
     def close(self) -> None:
         self.device.close()
@@ -343,8 +347,6 @@ def test_without_time_stamps_the_newest_scan_counts(tree: Tree) -> None:
 
 def test_time_stamps_that_do_not_increase_are_frozen(capture: Capture) -> None:
     found = capture.source()
-    capture.writer.write(capture.put(1000, 1, 2))
-    assert found.read(1_000_000) is not None
     for stamp_us in (1000, 1000, 900):
         capture.writer.write(capture.put(stamp_us, 3, 4))
         assert found.read(1_000_500) is None
@@ -360,8 +362,6 @@ def test_time_stamps_that_do_not_increase_are_frozen(capture: Capture) -> None:
 
 def test_a_buffer_that_falls_silent_is_no_data_within_100_ms(capture: Capture) -> None:
     found = capture.source()
-    capture.writer.write(capture.put(1000, 1, 2))
-    assert found.read(1_000_000) is not None
     assert (found.read(1_080_000), found.faults) == (None, 0)
     assert (found.read(1_100_000), found.faults) == (None, 1 << 8)
     capture.writer.write(capture.put(2000, 1, 2))
@@ -373,8 +373,6 @@ def test_a_buffer_whose_device_is_pulled_out_and_comes_back(
     capture: Capture, tree: Tree, caplog: pytest.LogCaptureFixture
 ) -> None:
     found = capture.source()
-    capture.writer.write(capture.put(1000, 1, 2))
-    assert found.read(1_000_000) is not None
     tree.remove(0)
     assert (found.read(1_001_000), found.faults) == (None, 1 << 8)
     capture.fifo.unlink()

@@ -251,8 +251,8 @@ def test_a_plan_file(plan: Callable[[str], Path]) -> None:
         ('"push"', '"tare"', "step 2 is a tare, an unloaded reading"),
         ("tare_every = 2", "tare_every = 0", "tare_every = 0: allowed is 1 or more"),
         (
-            "tare_every = 2",
-            "tare_evry = 2",
+            "every = 2",
+            "evry = 2",
             "plan.toml: tare_evry: no such key; did you mean tare_every? allowed: step, tare_every",
         ),
         ("theta_deg = 40", "theta = 40", "step[1].theta: no such key; did you mean theta_deg?"),

@@ -73,6 +73,13 @@ def test_only_these_nodes() -> None:
         Decoder(n=9)
 
 
+def test_short_frames_are_counted_over_all_calls() -> None:
+    decoder = Decoder()
+    for count in (1, 2):
+        assert decoder.decode(one(0x285, b"")) == {}
+        assert decoder.malformed == {(5, "Contact"): count}
+
+
 def test_unaligned_mapping() -> None:
     decoder = Decoder()
     decoder.remap(5, "Contact", 0x3A5, [COUNTER, P, STATUS, PHI, THETA])

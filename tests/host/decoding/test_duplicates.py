@@ -35,10 +35,7 @@ def node(serial: int) -> Device:
 
 
 class Client:
-    """A master: resets, configures and starts the node, sends SYNCs at 100 Hz, reads objects.
-
-    It repeats a request after 50 ms without a response.
-    """
+    """A master: resets, configures and starts the node, sends SYNCs at 100 Hz, reads; repeats after 50 ms."""
 
     def __init__(self, seed: int) -> None:
         self._random = random.Random(seed)

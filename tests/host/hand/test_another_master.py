@@ -178,10 +178,6 @@ def decided(
     COUNTS[what, policy, found] += 1
 
 
-def _ids(case: tuple[Entry[Any], bytes]) -> str:
-    return f"{case[0].name}={case[1].hex()}"
-
-
 def _sample(cases: list[tuple[Entry[Any], bytes]], count: int, seed: int) -> list[tuple[Entry[Any], bytes]]:
     """All, or some: of each object that is not one of many equal ones."""
     if ALL:
@@ -197,7 +193,7 @@ VALUES = accepted_values(2)
 
 
 @pytest.mark.parametrize("policy", POLICIES)
-@pytest.mark.parametrize("case", _sample(VALUES, 6, 1), ids=_ids)
+@pytest.mark.parametrize("case", _sample(VALUES, 6, 1), ids=lambda case: f"{case[0].name}={case[1].hex()}")
 def test_one_object(policy: str, case: tuple[Entry[Any], bytes]) -> None:
     row, data = case
     with simulated_hand(policy, echo=row.sub % 2 == 0) as hand:

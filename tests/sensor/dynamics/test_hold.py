@@ -13,7 +13,7 @@ from scipy.linalg import expm
 
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.first_order_hold import Hold, at_rest, energy, hold, respond
-from tipforce.sensor.dynamics.model import half_cylinder, modes
+from tipforce.sensor.dynamics.model import Modes, half_cylinder, modes
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.plane_frame import Frame, closing_load, slit_closure
 from tipforce_lab.dynamics import integrators
@@ -174,9 +174,8 @@ def test_a_stop_never_reached_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize("body", [BODY, STIFF])
-def test_overload_at_rest_is_the_static_solution_and_the_vertical_beam_sees_all_of_it(body: object) -> None:
-    assert body is BODY or body is STIFF
-    damped = (BODY if body is BODY else STIFF).with_damping(1.0)
+def test_overload_at_rest_is_the_static_solution_and_the_vertical_beam_sees_all_of_it(body: Modes) -> None:
+    damped = body.with_damping(1.0)
     F = np.array([-50.0, -10.0, 5.0])
     stop = slit_stop(FABRICATED, damped)
     found = overload(damped, stop, [0.0, 0.05, 0.1], np.vstack((0.0 * F, F, F)))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from math import exp, pi, radians, sqrt
 
 import numpy as np
@@ -125,30 +126,32 @@ def test_the_slit_closes_as_beam_theory_says() -> None:
     assert slit_closure(FABRICATED, 4.4) == pytest.approx(72.4e-6, rel=1e-3)
 
 
+INSIDE, JOINT = Frame(FABRICATED).strain_matrix, FrameModel(finite_joint=True)
+TWICE = ("U", GaugePosition("V", "right", FABRICATED.d_m), "L")
+
+
 @pytest.mark.parametrize(
-    ("gauges", "length_m", "message"),
+    ("call", "message"),
     [
-        (["X"], 0.0, "gauge point 'X' is not known"),
-        (["K_H"], 1e-3, "allowed is a gauge that lies between the beam's ends"),
-        ([GaugePosition("H", "left", 14.9e-3)], 1e-3, "at 0.0149 m on the left of beam H"),
-        ([GaugePosition("V", "left", -1e-3)], 0.0, "allowed is a gauge that lies between"),
-        (["K_H"], -1.0, "gauge of length -1.0 m"),
-        (["K_H"], float("nan"), "gauge of length nan m"),
+        (partial(INSIDE, ["X"]), "gauge point 'X' is not known"),
+        (partial(INSIDE, ["K_H"], 1e-3), "allowed is a gauge that lies between the beam's ends"),
+        (partial(INSIDE, [GaugePosition("H", "left", 14.9e-3)], 1e-3), "at 0.0149 m on the left of beam H"),
+        (partial(INSIDE, [GaugePosition("V", "left", -1e-3)]), "allowed is a gauge that lies between"),
+        (partial(INSIDE, ["K_H"], -1.0), "gauge of length -1.0 m"),
+        (partial(INSIDE, ["K_H"], float("nan")), "gauge of length nan m"),
+        (partial(Frame(FABRICATED, JOINT).strain_matrix, [GaugePosition("H", "left", 0.1e-3)]), "the beam's ends"),
+        (partial(Frame, replace(FABRICATED, h2_m=0.04), JOINT), "a finite joint must be narrower"),
+        (partial(gauge_matrix, FABRICATED, TWICE), "gauge point V right 15.00 is given more than once"),
+        (partial(gauge_matrix, FABRICATED, ["U", "L"]), "a layout of 2 gauge points: allowed are 3 to 8"),
+        (partial(gauge_matrix, FABRICATED, ["U", "L", GaugePosition("H", "right", float("nan"))]), "position_m"),
+        (partial(off_axis.torsion_constants, 1.0, 1.1), "thickness"),
     ],
 )
-def test_gauges_that_do_not_fit(gauges: list[str | GaugePosition], length_m: float, message: str) -> None:
+def test_what_cannot_be_is_refused(call: Callable[[], object], message: str) -> None:
     with pytest.raises(InputError) as caught:
-        Frame(FABRICATED).strain_matrix(gauges, length_m)
+        call()
     assert message in str(caught.value)
-
-
-def test_a_gauge_inside_a_joint_of_finite_size_is_refused() -> None:
-    frame = Frame(FABRICATED, FrameModel(finite_joint=True))
-    with pytest.raises(InputError, match="between the beam's ends"):
-        frame.strain_matrix([GaugePosition("H", "left", 0.1e-3)])
-    assert frame.strain_matrix(["K_H"]).shape == (1, 3)
-    with pytest.raises(InputError, match="a finite joint must be narrower"):
-        Frame(replace(FABRICATED, h2_m=0.04), FrameModel(finite_joint=True))
+    assert Frame(FABRICATED, JOINT).strain_matrix(["K_H"]).shape == (1, 3)
 
 
 def test_gauge_matrix_mixes_points_and_places() -> None:
@@ -156,12 +159,6 @@ def test_gauge_matrix_mixes_points_and_places() -> None:
     A = gauge_matrix(FABRICATED, ["K_H", place, "L"])
     assert np.array_equal(A[[0, 2]], strain_matrix(FABRICATED, POINTS)[[ROW["K_H"], ROW["L"]]])
     assert np.array_equal(A[1], strain_row(FABRICATED, *place))
-    with pytest.raises(InputError, match=r"gauge point V right 15\.00 is given more than once"):
-        gauge_matrix(FABRICATED, ["U", GaugePosition("V", "right", FABRICATED.d_m), "L"])
-    with pytest.raises(InputError, match="a layout of 2 gauge points: allowed are 3 to 8"):
-        gauge_matrix(FABRICATED, ["U", "L"])
-    with pytest.raises(InputError, match="position_m"):
-        gauge_matrix(FABRICATED, ["U", "L", GaugePosition("H", "right", float("nan"))])
 
 
 def at(*points: str, z: float = 0.0, angle: float = 0.0, geometry: Geometry = FABRICATED) -> list[off_axis.PlacedGauge]:
@@ -217,8 +214,6 @@ def test_torsion_constants_of_textbooks(width: float, J_factor: float, W_factor:
     J, W = off_axis.torsion_constants(width, 1.0)
     assert J / width == pytest.approx(J_factor, abs=1e-4)
     assert W / width == pytest.approx(W_factor, abs=1e-4)
-    with pytest.raises(InputError, match="thickness"):
-        off_axis.torsion_constants(1.0, 1.1)
 
 
 @pytest.mark.parametrize(

@@ -145,11 +145,6 @@ def test_a_limit_that_cannot_be_seen() -> None:
 
 
 @pytest.fixture(scope="module")
-def base() -> Solution:
-    return solve(Model(resolution=Resolution(3)))
-
-
-@pytest.fixture(scope="module")
 def runs() -> dict[float, studies.Convergence]:
     return {grading: studies.convergence(grading, (1, 2, 4)) for grading in (1.0, GRADING)}
 
@@ -171,8 +166,8 @@ def test_corner_exponents_show() -> None:
         assert found.observed == pytest.approx(found.theory, abs=0.05)
 
 
-def test_ansys_is_reproduced_by_places_or_by_legs(base: Solution) -> None:
-    found = {(match.what, match.case): match for match in studies.matches(base, 1)}
+def test_ansys_is_reproduced_by_places_or_by_legs() -> None:
+    found = {(match.what, match.case): match for match in studies.matches(solved(3), 1)}
     for what in ("L, R inward", "legs thin"):
         two, three = found[what, "II"], found[what, "III"]
         assert two.conditions[1] == pytest.approx(3.36, abs=0.01)
@@ -183,8 +178,8 @@ def test_ansys_is_reproduced_by_places_or_by_legs(base: Solution) -> None:
     assert found["L, R outward", "III"].conditions[1] > 3.6
 
 
-def test_no_places_reproduce_the_measurement(base: Solution) -> None:
-    found = studies.best_for_measured(base, 7)
+def test_no_places_reproduce_the_measurement() -> None:
+    found = studies.best_for_measured(solved(3), 7)
     assert found.worst > 0.1
     wanted = (3.50, 3.50, 3.34)
     assert max(abs(one - other) for one, other in zip(found.conditions, wanted, strict=True)) == pytest.approx(

@@ -60,6 +60,7 @@ def shown(browser: Browser, request: pytest.FixtureRequest) -> Iterator[Shown]:
         page = browser.new_page(viewport={"width": 1280, "height": 900}, color_scheme="light")
         page.set_default_timeout(WAIT_MS)
         found = Shown(source, server, page)
+        found.word(1, "live")
         yield found
         page.close()
         assert found.wrong == []
@@ -112,7 +113,6 @@ def test_faults_are_shown_and_nothing_stale_as_live(shown: Shown) -> None:
 
 
 def test_a_server_that_falls_silent_is_not_live(shown: Shown) -> None:
-    shown.word(1, "live")
     wake = threading.Event()
     shown.server.loop.call_soon_threadsafe(wake.wait, 4 * WAIT_MS / 1000)
     shown.mode("not live")
@@ -165,7 +165,6 @@ def test_tare_asks_first(shown: Shown) -> None:
 
 def test_everything_by_keyboard_with_a_visible_focus(shown: Shown) -> None:
     page = shown.page
-    shown.word(1, "live")
     seen = []
     for _ in range(18):
         page.keyboard.press("Tab")
@@ -262,7 +261,6 @@ def test_a_scene_loops_or_ends_on_its_best_moment(browser: Browser, loops: bool)
 
 def test_exports(shown: Shown, tmp_path: Path) -> None:
     page = shown.page
-    shown.word(1, "live")
     expect(page.locator(".tare")).to_have_count(0)  # it is read-only
     with page.expect_download() as picture:
         page.click("#png")
@@ -333,7 +331,6 @@ ARROW = """async ({ P, phi, theta }) => {
 
 
 def test_an_arrow_is_long_and_never_leaves_its_drawing(shown: Shown) -> None:
-    shown.word(1, "live")
     tops = [shown.page.evaluate(ARROW, {"P": P, "phi": -90, "theta": 90})[1] for P in (3.0, 5.0)]
     assert 3 * (tops[0] - tops[1]) / 2 >= 70  # pixels for 3 N
     for theta in range(0, 181, 30):
@@ -344,7 +341,6 @@ def test_an_arrow_is_long_and_never_leaves_its_drawing(shown: Shown) -> None:
 
 def test_gauges_and_forces_are_charted_with_fixed_scales(shown: Shown) -> None:
     page = shown.page
-    shown.word(1, "live")
     expect(page.locator("#newtons")).to_have_value("5")
     for what, charts, label in (
         ("gauges", 1, "gauges of f1"),

@@ -1,7 +1,4 @@
-"""The model of a page: the newest rows in order, envelopes without a lost extreme, states that are never falsely live,
-
-and what a browser gets, however slowly it takes it.
-"""
+"""The model of a page: newest rows, envelopes, states that are never falsely live; what a slow browser gets."""
 
 import numpy as np
 import pytest

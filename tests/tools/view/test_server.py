@@ -289,10 +289,7 @@ def test_a_page_that_floods_is_closed_and_holds_up_nobody(kind: str, monkeypatch
 
 
 def flood(send: Callable[[Page], Any], page: Page) -> None:
-    """Send until the server closes the connection, and read nothing before.
-
-    The system resets a connection that is closed with unread data, and then the reason may be lost on its way.
-    """
+    """Send until the server closes the connection, and read nothing before: its reason may be lost on its way."""
     with contextlib.suppress(ConnectionClosed):
         for _ in range(100 * AT_ONCE):
             send(page)

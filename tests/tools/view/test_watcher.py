@@ -1,7 +1,4 @@
-"""Sources of a page: whoever is heard becomes a finger, a log is shown as it was, a hand as it is loaded; and rows as
-
-blocks, with the uncertainty of the sensor and what the node does not send computed as it would.
-"""
+"""Sources of a page: a live bus, a log, the demo; rows as blocks, with what the node does not send computed."""
 
 import json
 import os
