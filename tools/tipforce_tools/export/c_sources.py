@@ -9,7 +9,8 @@ from typing import Any
 
 from canopen_device import types
 from tipforce.dictionary import table, table_objects
-from tipforce.dictionary.entries import Entry, objects
+from tipforce.dictionary.entries import Entry
+from tipforce.dictionary.names import objects
 from tipforce.output_file import C_SOURCE, write_files
 
 HERE = Path(__file__).parent
