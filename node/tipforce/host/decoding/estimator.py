@@ -21,7 +21,7 @@ from tipforce.samples import reasons
 from tipforce.samples.contact import Contact
 from tipforce.samples.reasons import Status
 from tipforce.sensor.contact import estimate as model
-from tipforce.sensor.contact import scalar
+from tipforce.sensor.contact import scalar, scalar_uncertainty
 
 if TYPE_CHECKING:
     Force = tuple[float, float, float]
@@ -113,7 +113,7 @@ class Estimator:
         self._is_judged = self._has_own or active.model > 0.0 or active.compensated or ranged or redundant
         solver = active.without(0)[0]
         assert solver is not None
-        self._K, self._scaled_K = solver[1], scalar.scaled_covariance(solver[1])
+        self._K, self._scaled_K = solver[1], scalar_uncertainty.scaled_covariance(solver[1])
         self._status_of: dict[int, Status] = {}
 
     @overload
@@ -280,7 +280,7 @@ class Estimator:
         K, scaled_K, status = self._K, self._scaled_K, 0
         if lost or self._is_judged:
             F, K, status = self._judged_force(readings, degC, lost, was_overloaded)
-            scaled_K = scalar.scaled_covariance(K)
+            scaled_K = scalar_uncertainty.scaled_covariance(K)
         else:
             F = active.force(active.C, readings)
             for value, (low, high) in zip(readings, self._bounds):  # noqa: B905 - none where 2112h:2 is known
@@ -313,7 +313,7 @@ class Estimator:
         return F, K, status
 
     def _values(
-        self, F: Force, K: Values, scaled_K: scalar.ScaledCovariance | None, status: int, was_present: bool,
+        self, F: Force, K: Values, scaled_K: scalar_uncertainty.ScaledCovariance | None, status: int, was_present: bool,
         was_overloaded: bool,
     ) -> tuple[int, Values]:  # fmt: skip
         (F1, F2, F3), pull, limits = F, self._active.pull, self._active.limits
@@ -328,8 +328,8 @@ class Estimator:
         status |= self._unranged
         u_P = u_phi = u_theta = u_sine = cosine = 0.0
         if self._uncertainty or not (limits[1] <= P and scalar.clearly_resolved(P, F2, K)):
-            u_P, u_phi, u_theta, u_sine, cosine = scalar.deviations(force, scaled_K, pull)
-        u_miss = scalar.miss_uncertainty(F1, F2, F3, K) if miss > 0.0 else 0.0
+            u_P, u_phi, u_theta, u_sine, cosine = scalar_uncertainty.deviations(force, scaled_K, pull)
+        u_miss = scalar_uncertainty.miss_uncertainty(F1, F2, F3, K) if miss > 0.0 else 0.0
         status |= scalar.status_bits(P, u_P, u_theta, miss, u_miss, theta, limits, was_present)
         unknown = scalar.unknown(status & 0xFF | scalar.CALIBRATED)
         if self._uncertainty:

@@ -1,4 +1,4 @@
-"""Contacts of many samples: the formulas of scalar.py, operation by operation, for columns: F1, F2, F3 and the six
+"""Contacts of many samples: the formulas of scalar*.py, operation by operation, for columns: F1, F2, F3 and the six
 different elements of the covariance of F, each an array of the same shape (or a number)."""
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ def contact_columns(F: Forces, sense: FloatArray | float) -> Contact:
 
 
 def deviation_columns(F: Forces, K: Covariance, sense: FloatArray | float) -> Deviations:
-    """Return the standard uncertainties of the contacts, as scalar.uncertainty()."""
+    """Return the standard uncertainties of the contacts, as scalar_uncertainty.uncertainty()."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         n1, n3 = F.f1 / F.hypotenuse, F.f3 / F.hypotenuse
         P = np.maximum(F.hypotenuse, 0.5 * (F.hypotenuse + np.abs(F.f2)))
@@ -182,7 +182,7 @@ def deviation_columns(F: Forces, K: Covariance, sense: FloatArray | float) -> De
 
 
 def miss_deviation(F: Forces, K: Covariance) -> FloatArray:
-    """Return the standard uncertainties of |F2| - hypot(F1, F3), as scalar.miss_uncertainty()."""
+    """Return the standard uncertainties of |F2| - hypot(F1, F3), as scalar_uncertainty.miss_uncertainty()."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         sign = np.where(F.f2 < 0.0, -1.0, 1.0)
         u = _deviation(K, -F.f1 / F.hypotenuse, sign, -F.f3 / F.hypotenuse)
@@ -234,8 +234,8 @@ def contacts(F_newtons: npt.ArrayLike, *, pull: bool) -> Contact:
 
 
 def standard_uncertainties(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike, *, pull: bool) -> FloatArray:
-    """Return the standard uncertainties of P, phi, theta, (..., 3), N and rad, as scalar.uncertainty(); NaN for numbers
-    that are not finite, and variances below zero.
+    """Return the standard uncertainties of P, phi, theta, (..., 3), N and rad, as uncertainty() of one sample;
+    NaN for numbers that are not finite, and variances below zero.
 
     F: (..., 3); covariance_F: (3, 3) or (..., 3, 3), symmetric, N^2. Raises InputError for other shapes.
     """
@@ -311,7 +311,7 @@ def _worst_deviation(K: Covariance) -> FloatArray:
 
 
 def _finite_slope(x: FloatArray, cosine: FloatArray, step: FloatArray) -> FloatArray:
-    """Return the slope of asin over one standard uncertainty, as scalar.finite_slope() describes."""
+    """Return the slope of asin over one standard uncertainty, as in scalar_uncertainty."""
     inward = _arc(x, cosine, -np.minimum(step, 1.0 + x))
     outward = _arc(x, cosine, np.minimum(step, cosine * cosine / (1.0 + x)))
     chords = np.sqrt(0.5 * (inward * inward + outward * outward)) / step
