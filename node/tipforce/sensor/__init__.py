@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from tipforce.sensor.structure.off_axis import apparent_force as apparent_force
     from tipforce.sensor.structure.off_axis import off_axis_wrenches as off_axis_wrenches
     from tipforce.sensor.structure.plane_frame import closing_load as closing_load
+    from tipforce.sensor.structure.quality import condition_number as condition_number
+    from tipforce.sensor.structure.quality import noise_gain as noise_gain
     from tipforce.sensor.structure.strain import calibration_matrix as calibration_matrix
-    from tipforce.sensor.structure.strain import condition_number as condition_number
-    from tipforce.sensor.structure.strain import noise_gain as noise_gain
     from tipforce.sensor.structure.strain import strain_matrix as strain_matrix
     from tipforce.sensor.structure.strain import strain_row as strain_row
 else:

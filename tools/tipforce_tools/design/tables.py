@@ -104,7 +104,8 @@ def sweep_section(args: argparse.Namespace, geometry: Geometry, gauges: Sequence
     """Return one record per value. Raises InputError for an unknown name or an impossible range."""
     import numpy as np
 
-    from tipforce.sensor.structure.strain import position_matrix, shifted
+    from tipforce.sensor.structure.quality import shifted
+    from tipforce.sensor.structure.strain import position_matrix
     from tipforce_lab.design.tables import Section, figures, maximum_over_contacts
 
     names = [f"SG{index + 1}" for index in range(len(gauges))]
