@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import InputError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import common, tables
 
 if TYPE_CHECKING:
     from tipforce.sensor.structure.geometry import Geometry
@@ -157,8 +157,8 @@ def _print(section: Section) -> None:
         table.add_column(heading, justify="right" if numeric else "left", overflow="fold")
     for record in section.records:
         table.add_row(*(_shown(_cell(record, key)) for key in section.columns))
-    common.print_table(table)
-    console = common.console()
+    tables.print_table(table)
+    console = tables.console()
     for note in section.notes:
         console.print(Padding(Text(note), (0, 0, 1, 2)), highlight=False)
 

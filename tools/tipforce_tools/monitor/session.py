@@ -22,6 +22,7 @@ from tipforce_tools.cli import common
 from tipforce_tools.cli.common import shown_id
 from tipforce_tools.cli.listening import Hints, StopSignals, check_sync, counted, open_targets
 from tipforce_tools.cli.main import INTERRUPTED
+from tipforce_tools.cli.tables import console as rich_console
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -54,7 +55,7 @@ def monitor(args: Namespace) -> int:
         if screen:
             from rich.live import Live
 
-            live = opened.enter_context(Live(console=common.console(), auto_refresh=False, transient=False))
+            live = opened.enter_context(Live(console=rich_console(), auto_refresh=False, transient=False))
             show = partial(_refresh, live, bitrate, interval_s, hints)
         each = show if screen or (common.OUTPUT.json and args.once is None) else None
         shown = run(watched, source, stop, interval_s, each, args.once or math.inf)
