@@ -9,7 +9,7 @@ from fingertip import finger as rig
 from stability.case import Observed, refusal
 from tipforce.arrays import FloatArray
 from tipforce.dictionary import indices
-from tipforce.sensor.contact import estimate, scalar, scalar_uncertainty
+from tipforce.sensor.contact import estimate, scalar, scalar_uncertainty, validity
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.contact.redundancy import weighted_inverse
 
@@ -130,7 +130,7 @@ def uncertainty_tangential_flag() -> Observed:
             u = estimate.standard_uncertainties(F, K, pull=False)
             bits = status(estimate.contacts(F, pull=False), u, miss_uncertainties(F, K), _LIMITS)
             large = bool(u[0, 2] > math.radians(30.0))
-            bit_4, holds = bool(bits[0] & scalar.THETA_UNRESOLVED), bool(estimate.first_order_holds(F, K)[0, 2])
+            bit_4, holds = bool(bits[0] & scalar.THETA_UNRESOLVED), bool(validity.first_order_holds(F, K)[0, 2])
             # The curvature of asin over one standard uncertainty: u(x) / cos^2, u(x) = sigma sqrt(1 + x^2) here.
             bend = sigma * math.sqrt(2.0 - cosine * cosine) / max(cosine * cosine, 1e-300)
             wrong += bit_4 != large or holds != (bend <= 0.25)
@@ -149,7 +149,7 @@ def uncertainty_first_order() -> Observed:
         delta, phi, sigma = rng.uniform(-1.5, 1.5), rng.uniform(-3.0, 3.0), 10.0 ** rng.uniform(-2.0, -0.7)
         F = force_vector(1.0, phi, phi - delta + math.pi)
         K = sigma * sigma * np.eye(3)
-        if not estimate.first_order_holds(F, K)[2]:
+        if not validity.first_order_holds(F, K)[2]:
             continue
         holding += 1
         theta = estimate.contacts(np.vstack((F, F + sigma * draws)), pull=False).theta_rad

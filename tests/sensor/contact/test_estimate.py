@@ -11,13 +11,8 @@ from hypothesis import strategies as st
 
 from tipforce.errors import InputError
 from tipforce.sensor.contact import scalar, scalar_uncertainty
-from tipforce.sensor.contact.estimate import (
-    check_limits,
-    contacts,
-    force_from_strain,
-    force_vector,
-    standard_uncertainties,
-)
+from tipforce.sensor.contact.estimate import contacts, force_from_strain, force_vector, standard_uncertainties
+from tipforce.sensor.contact.validity import check_limits
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 

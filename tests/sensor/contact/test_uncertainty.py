@@ -13,13 +13,8 @@ from hypothesis import strategies as st
 
 from tipforce.errors import InputError
 from tipforce.sensor.contact import scalar_uncertainty
-from tipforce.sensor.contact.estimate import (
-    contacts,
-    curvature,
-    first_order_holds,
-    force_vector,
-    standard_uncertainties,
-)
+from tipforce.sensor.contact.estimate import contacts, force_vector, standard_uncertainties
+from tipforce.sensor.contact.validity import curvature, first_order_holds
 
 FloatArray = npt.NDArray[np.float64]
 UPPER = np.triu_indices(3)

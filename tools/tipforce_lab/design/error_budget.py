@@ -12,7 +12,8 @@ from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
 from tipforce.output_file import save_figure
 from tipforce.sensor.calibration.simulation import paper_grooves
-from tipforce.sensor.contact.estimate import first_order_holds, force_vector, standard_uncertainties
+from tipforce.sensor.contact.estimate import force_vector, standard_uncertainties
+from tipforce.sensor.contact.validity import first_order_holds
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.off_axis import PlacedGauge, off_axis_wrenches, wrench_strain_matrix
 from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS
