@@ -15,10 +15,10 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from tipforce.errors import EnvironmentLackError, TipforceError
-from tipforce.host.decoding.duplicates import services
 from tipforce.host.decoding.log_part import Piece, Reading, StrictError
 from tipforce.host.decoding.recording import DecodedPart, Headers, Passed, Recording, State, noting
 from tipforce.host.decoding.sample_table import Table
+from tipforce.host.decoding.service_frames import services
 from tipforce.host.decoding.services import BusEvent
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.notes import LogNotes
