@@ -1,4 +1,4 @@
-"""Shared by the commands: standard streams, common flags, also of logs, numbers and node-ids, printing of records."""
+"""Shared by the commands: standard streams, common flags, numbers and node-ids, printing of records."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import re
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -59,11 +59,11 @@ def number_within(low: float, high: float, allowed: str, *, over: bool = False) 
     return number_that(lambda value: low < value <= high or (value == low and not over), allowed)
 
 
-_any_base = partial(int, base=0)
+any_base = partial(int, base=0)
 count = number_that(lambda value: value >= 1, "are whole numbers from 1", int)
 whole_number = number_that(lambda value: value >= 0, "are whole numbers from 0", int)
-unsigned32 = number_that(lambda value: 0 <= value <= 0xFFFFFFFF, "are 0 to 0xFFFFFFFF", _any_base)
-node_id = number_that(lambda value: 1 <= value <= 127, "are 1 to 127 (10 or 0x0A)", _any_base, "node-id ")
+unsigned32 = number_that(lambda value: 0 <= value <= 0xFFFFFFFF, "are 0 to 0xFFFFFFFF", any_base)
+node_id = number_that(lambda value: 1 <= value <= 127, "are 1 to 127 (10 or 0x0A)", any_base, "node-id ")
 seconds = number_that(lambda value: 0 < value < math.inf, "are seconds, more than 0")
 timeout = number_within(0.0, threading.TIMEOUT_MAX, "is a time over 0 s", over=True)  # for which a thread can wait
 MOST = sys.float_info.max
@@ -206,11 +206,6 @@ def add_confirm_argument(parser: argparse.ArgumentParser) -> None:
     group.add_argument("-y", "--yes", action="store_true", help="do not ask before persistent changes")
 
 
-def add_eds_argument(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
-    """Add the flag."""
-    parser.add_argument("--eds", action="append", metavar="ID=FILE", help="EDS, DCF or XDD of a node; repeatable")
-
-
 def add_page_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     """Add the flags of the page's server; return their group."""
     group = parser.add_argument_group("page")
@@ -220,38 +215,3 @@ def add_page_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGro
     group.add_argument("--token", metavar="TOKEN|auto", help="required to open the page; auto generates one")
     group.add_argument("--open", action="store_true", help="open the page in the browser")
     return group
-
-
-def add_choice_arguments(parser: argparse.ArgumentParser, signals: str) -> None:
-    """Add the flags that choose rows and columns of logs, and the PDOs; ``signals`` is the help of --signals."""
-    group = parser.add_argument_group("choice")
-    group.add_argument("--signals", metavar="NAMES", help=signals)
-    group.add_argument("--nodes", type=node_ids, metavar="IDS", help="as 1,2,5-9")
-    group.add_argument("--bus", metavar="NAMES", help="only of these interfaces: can0,can1")
-    group.add_argument("--from", dest="start", metavar="TIME", help="seconds from the start or of the epoch, ISO time")
-    group.add_argument("--to", dest="end", metavar="TIME", help="end, exclusive; same formats")
-    calibration = "compute contact from the gauges; repeatable"
-    group.add_argument("--calibration", action="append", metavar="[ID=]CAL.toml", help=calibration)
-    group.add_argument("--gauges", type=int, choices=range(3, 9), metavar="N", help="3 (default) to 8")
-    group.add_argument("--dcf", action="append", metavar="FILE", help="configuration of a node; repeatable")
-    group.add_argument("--dbc", metavar="FILE", help="a DBC instead; tipforce: the shipped one")
-    add_eds_argument(group)
-
-
-def eds_files(given: Sequence[str]) -> tuple[tuple[int, str], ...]:
-    """Return (node-id, file) of each flag, after reading the files once: their warnings go to stderr. Raises InputError
-    for another form, a repeated node-id, and a file that is no EDS."""
-    from canopen_device.eds.reader import read_eds
-
-    files: dict[int, str] = {}
-    for text in given:
-        head, _, path = text.partition("=")
-        node = number(head, _any_base)
-        if not (path and 1 <= node <= 127):
-            raise InputError(f"--eds {text}: the form is ID=FILE, such as 5=drive.eds")
-        if node in files:
-            raise InputError(f"--eds {text}: node {node} has a file already")
-        for warning in read_eds(path, node).warnings:
-            print(f"warning: {warning}", file=sys.stderr)
-        files[node] = path
-    return tuple(files.items())

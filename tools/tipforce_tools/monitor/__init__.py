@@ -3,7 +3,7 @@
 import argparse
 import math
 
-from tipforce_tools.cli import bus_flags, common
+from tipforce_tools.cli import bus_flags, common, log_flags
 from tipforce_tools.cli.listening import add_sync_argument
 
 DESCRIPTION = """\
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--speed", type=_speed, default=math.inf, metavar="X", help="log: times recorded speed (inf)")
     parser.add_argument("--follow", action="store_true", help="log: wait for more lines at the end")
     add_sync_argument(parser)
-    common.add_eds_argument(parser)
+    log_flags.add_eds_argument(parser)
     bus_flags.add_bus_arguments(parser)
 
 

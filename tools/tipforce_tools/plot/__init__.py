@@ -3,7 +3,7 @@
 import argparse
 import re
 
-from tipforce_tools.cli import common
+from tipforce_tools.cli import common, log_flags
 
 DESCRIPTION = """\
 Plot the fingers of a log: P, phi and theta over time with their uncertainty, gauges, and a strip that shows contact
@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("logs", nargs="+", type=common.LOG, metavar="LOG", help="files and globs, or -")
     parser.add_argument("-o", "--output", metavar="FILE", help=".png, .svg or .pdf")
     parser.add_argument("--size", type=_size, metavar="WxH", help="16x10cm, 160x100mm, 7x4in")
-    common.add_choice_arguments(parser, "as P,theta,gauges,status")
+    log_flags.add_choice_arguments(parser, "as P,theta,gauges,status")
     common.add_output_arguments(parser)
     parser.set_defaults(ask=None, strict=False, follow=False, deltas=False)  # options of `tipforce decode` alone
 
