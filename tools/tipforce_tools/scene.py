@@ -6,7 +6,7 @@ import argparse
 import time
 from typing import TYPE_CHECKING, Any
 
-from tipforce_tools.cli import bus_flags, common, tables
+from tipforce_tools.cli import bus_flags, common, log_flags, tables
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run or explain the scene; return 0, or 1 if an expectation did not hold."""
-    path = common.scene_or_file(args.scene)
+    path = log_flags.scene_or_file(args.scene)
     from tipforce.scene.reader import read_scene
     from tipforce.scene.registry import bus_load
 

@@ -12,7 +12,7 @@ from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.contact.estimate import force_vector, standard_uncertainties
 from tipforce.sensor.structure import quality, strain
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
-from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, mirror
+from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS
 from tipforce.sensor.structure.plane_frame import worst_stress
 from tipforce.sensor.structure.published import HALF_DIGIT, MEASURED_MATRICES, TABLE_2
 from tipforce_lab.design import tables
@@ -81,7 +81,7 @@ def test_ranking() -> None:
         frozenset("LT") | {"S_H"},
         frozenset("RU") | {"K_H"},
     }
-    assert all(row["mirror"] == mirror(row["gauges"]) for row in rows)
+    assert all(row["mirror"] == quality.mirror(row["gauges"]) for row in rows)
     for by, order in (("noise_gain_N_per_ue", ["I", "II", "III"]), ("row_equilibrated", ["III", "II", "I"])):
         assert [row["case"] for row in tables.ranked_layouts(FABRICATED, by) if row["case"]] == order
     assert [row["case"] for row in tables.ties(tables.ranked_layouts(FABRICATED, "thin"), "thin")[0]] == ["II", ""]

@@ -11,7 +11,7 @@ from tipforce.errors import InputError
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure import quality, strain
 from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
-from tipforce.sensor.structure.layouts import LAYOUTS, POINTS, layout, layout_code, mirror
+from tipforce.sensor.structure.layouts import LAYOUTS, POINTS, layout, layout_code
 from tipforce_lab.design.sections import condition_against_shift, most_influential, shift_to_reach, slopes_per_mm
 
 ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
@@ -64,7 +64,7 @@ def test_thin_limit_is_the_scaled_strain_matrix() -> None:
 def test_mirror_keeps_condition_number_and_sign() -> None:
     flip = np.diag([1.0, -1.0, -1.0])
     for triple in [*LAYOUTS.values(), *itertools.combinations(POINTS, 3)]:
-        A, B = strain.strain_matrix(FABRICATED, triple), strain.strain_matrix(FABRICATED, mirror(triple))
+        A, B = strain.strain_matrix(FABRICATED, triple), strain.strain_matrix(FABRICATED, quality.mirror(triple))
         np.testing.assert_allclose(B, A @ flip, rtol=1e-14)
 
 
@@ -97,8 +97,8 @@ def test_geometry_is_frozen_and_has_a_thin_limit() -> None:
 def test_named_layouts_and_their_mirrors() -> None:
     for name in ("I", "II", "III"):
         assert layout(name) == LAYOUTS[name]
-        assert mirror(name) == layout(name + "'")
-        assert mirror(mirror(name)) == layout(name)
+        assert quality.mirror(name) == layout(name + "'")
+        assert quality.mirror(quality.mirror(name)) == layout(name)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from tipforce.arrays import FloatArray
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure import quality, strain
 from tipforce.sensor.structure.geometry import Geometry
-from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, VERTICAL_POINTS, Layout, mirror
+from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, VERTICAL_POINTS, Layout
 from tipforce.sensor.structure.published import HALF_DIGIT, MEASURED_MATRICES
 
 Record = dict[str, Any]
@@ -184,14 +184,15 @@ def ranked_layouts(geometry: Geometry, by: str = "condition") -> list[Record]:
     rows: list[Record] = []
     seen: set[frozenset[str]] = set()
     for chosen in itertools.combinations(POINTS, 3):
-        if frozenset(mirror(chosen)) in seen:
+        if frozenset(quality.mirror(chosen)) in seen:
             continue
         seen.add(frozenset(chosen))
         case = names.get(frozenset(chosen), "")
         points = LAYOUTS[case] if case else chosen
         thin = quality.condition_number(quality.thin_limit_matrix(points))
         rows.append({
-            "case": case, "gauges": points, "mirror": mirror(points), **figures(strain.strain_matrix(geometry, points)),
+            "case": case, "gauges": points, "mirror": quality.mirror(points),
+            **figures(strain.strain_matrix(geometry, points)),
             "thin": thin if thin < 1e12 else inf,  # singular: rounding makes it barely regular
         })  # fmt: skip
     return sorted(rows, key=lambda row: (round(row[by], 9), row["condition"]))

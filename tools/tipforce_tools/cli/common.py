@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from tipforce.errors import InputError
@@ -100,15 +99,6 @@ class InputFile:
 LOG = InputFile("", "no such file", lambda text: not glob.has_magic(text) and "://" not in text)
 TARGET = InputFile("", "no such file", lambda text: "," not in text and re.search(r"\.(log|txt)$|/", text))
 """`vcan0,181:7FF`, or the name of a log."""
-
-
-def scene_or_file(text: str) -> Path:
-    """Return the file, or the shipped scene of that name. Raises InputError if there is neither."""
-    from tipforce.shipped_files import file_or_shipped
-
-    path = file_or_shipped(text, "scenes")
-    InputFile().check(str(path))
-    return path
 
 
 def node_ids(text: str) -> list[int]:

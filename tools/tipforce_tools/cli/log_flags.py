@@ -1,8 +1,9 @@
-"""Flags that choose rows and columns of logs, and files that describe nodes."""
+"""Flags that choose rows and columns of logs; files of nodes and of scenes."""
 
 import argparse
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
@@ -46,3 +47,12 @@ def eds_files(given: Sequence[str]) -> tuple[tuple[int, str], ...]:
             print(f"warning: {warning}", file=sys.stderr)
         files[node] = path
     return tuple(files.items())
+
+
+def scene_or_file(text: str) -> Path:
+    """Return the file, or the shipped scene of that name. Raises InputError if there is neither."""
+    from tipforce.shipped_files import file_or_shipped
+
+    path = file_or_shipped(text, "scenes")
+    common.InputFile().check(str(path))
+    return path

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from tipforce.arrays import FloatArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.structure.geometry import Geometry
-from tipforce.sensor.structure.layouts import POINTS, Layout, layout
+from tipforce.sensor.structure.layouts import MIRROR, POINTS, Layout, layout
 from tipforce.sensor.structure.strain import GaugePosition, nominal_position, place, strain_row, unit_stress
 
 
@@ -41,6 +41,12 @@ def thin_limit_matrix(gauges: Layout) -> FloatArray:
     """Return the strain matrix in the thin-beam limit, (n, 3), tension positive: h1 -> 0 with h2 = sqrt(8/3) h1 and a =
     d = r, in units of 3 a / (2 h1^2 width E) per newton. Raises InputError for an unusable layout."""
     return np.array([_THIN_LIMIT[point] for point in layout(gauges)], dtype=np.float64)
+
+
+def mirror(name_or_points: Layout) -> tuple[str, ...]:
+    """Return the layout mirrored at the y-axis, gauge by gauge. Raises InputError as layout() does. For (F1, F2, F3) a
+    mirrored gauge reads what the original does for (F1, -F2, -F3): equal condition number."""
+    return tuple(MIRROR[point] for point in layout(name_or_points))
 
 
 def shifted(geometry: Geometry, gauge: str | GaugePosition, shift_m: Any) -> GaugePosition:
