@@ -14,9 +14,10 @@ from bench.measure import arguments, table
 from tipforce.arrays import FloatArray, IntArray
 from tipforce.output_file import save_figure
 from tipforce.sensor.calibration.simulation import paper_grooves
-from tipforce.sensor.contact import estimate, scalar
+from tipforce.sensor.contact import estimate, scalar, validity
 from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import calibration_matrix, noise_gain, strain_matrix
+from tipforce.sensor.structure.quality import noise_gain
+from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce_lab.design.error_budget import pad_loads
 
 ISOTROPIC = "isotropic noise"
@@ -101,12 +102,12 @@ def cell(
     off = estimated.phi_rad - phi, estimated.theta_rad - theta
     errors = estimated.P_newtons - P_NEWTONS, *(np.remainder(turn + np.pi, 2.0 * np.pi) - np.pi for turn in off)
     inside = np.abs(np.stack(errors, axis=-1)) <= k * u
-    flagged = ~estimate.first_order_holds(F, covariance)[:, 2]
+    flagged = ~validity.first_order_holds(F, covariance)[:, 2]
     bits = status(estimated, u, miss_uncertainties(F, covariance), (0.0, 0.0, -180.0, 180.0))
     flagged_by_status = bits & (scalar.THETA_UNRESOLVED | scalar.MISSES_TIP) != 0
     silent = ~inside[:, 2] & ~flagged & ~flagged_by_status
     counted = [100.0 * float(np.mean(rows)) for rows in (flagged, flagged_by_status, silent)]
-    holds = tuple(estimate.first_order_holds(true_F, typical).tolist())
+    holds = tuple(validity.first_order_holds(true_F, typical).tolist())
     return Cell(*names, tuple((100.0 * np.mean(inside, axis=0)).tolist()), holds, *counted)
 
 
@@ -125,8 +126,8 @@ def status(
 ) -> IntArray:
     """Bits 0, 4, 5, 6 of contacts (n,) in time order, by their standard uncertainties u (n, 3) or (3,)."""
     least = scalar.MISS_COVERAGE_FACTOR * u_miss_newtons + scalar.MISS_FLOOR * contact.P_newtons
-    resolved = estimate.is_resolved(u[..., 0], u[..., 2])
-    return estimate.status_columns(contact, resolved, contact.miss_newtons > least, limits, was_present)
+    resolved = validity.is_resolved(u[..., 0], u[..., 2])
+    return validity.status_columns(contact, resolved, contact.miss_newtons > least, limits, was_present)
 
 
 def known_matrix(rng: np.random.Generator, trials: int) -> Iterator[Cell]:

@@ -179,7 +179,7 @@ class FingertipRig(Rig):
             ("names of damaged groups", len(device.storage.damaged), 5),
             ("bytes of an SDO buffer", len(getattr(block, "_buffer", device.sdo._buffer)), MOST_BUFFERED),
             ("watched nodes", max(map(len, (consumer._periods, consumer._deadlines, consumer._lost))), 4),
-            ("interrupts", max(len(interrupts._sent), len(interrupts._zones)), 9),
+            ("interrupts", 0 if interrupts is None else max(len(interrupts._sent), len(interrupts._zones)), 9),
         ):
             require(size <= most, f"{size} {what}, allowed are {most}")
 

@@ -17,8 +17,9 @@ from canopen_device.eds.sections import parse
 from tipforce.dictionary import generate, table
 from tipforce.dictionary.dbc import dbc_text
 from tipforce.dictionary.eds import access_text, dcf_text, eds_text
-from tipforce.dictionary.entries import Entry, entries, objects
+from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.generate import reference_markdown
+from tipforce.dictionary.names import entries, objects
 from tipforce.dictionary.signals import rpdo_messages, tpdo_messages
 from tipforce.errors import InputError
 

@@ -8,7 +8,7 @@ import pytest
 
 from canopen_device.core import codes, communication, emcy
 from tipforce.dictionary import indices, names, table
-from tipforce.dictionary.entries import entries, objects
+from tipforce.dictionary.names import entries, objects
 from tipforce.dictionary.signals import mapping_signals, rpdo_messages, tpdo_messages
 from tipforce.errors import InputError
 from tipforce.sensor.contact import scalar

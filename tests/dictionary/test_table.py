@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from canopen_device import types
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table, table_objects
-from tipforce.dictionary.entries import Array, Entry, entries, gauges_of, objects
+from tipforce.dictionary.entries import Array, Entry, gauges_of
+from tipforce.dictionary.names import entries, objects
 from tipforce.errors import InputError
 
 ALL = [(n, simulated) for n in range(3, 9) for simulated in (False, True)]
@@ -79,9 +80,8 @@ def test_views_have_the_default_of_the_value_they_show() -> None:
 def test_number_of_gauges_outside(n: int) -> None:
     with pytest.raises(ValueError, match="allowed 3 to 8"):
         table_objects.objects(n)
-    for refuses in (objects, lambda n: [*od.CALIBRATION_MATRIX.entries(n)]):
-        with pytest.raises(InputError, match="allowed 3 to 8"):
-            refuses(n)
+    with pytest.raises(InputError, match="allowed 3 to 8"):
+        objects(n)
 
 
 @pytest.mark.parametrize("converter", [table.CONVERTER_16, table.CONVERTER_24])
@@ -116,10 +116,11 @@ def test_errors_name_the_entry() -> None:
 
 @pytest.mark.parametrize("n", range(3, 9))
 def test_counts_follow_the_number_of_gauges(n: int) -> None:
-    arrays = (od.CALIBRATION_MATRIX, od.CALIBRATION_OFFSET, od.CALIBRATION_NOISE, od.PROCESS_VALUE)
-    assert [len([*array.entries(n)]) for array in arrays] == [3 * n, n, n * (n + 1) // 2, n + 6]
-    assert [entry.sub for entry in od.AUTOTARE.entries(n)] == [n + 1]
-    assert [entry.sub for entry in od.CALIBRATION_OFFSET.entries(n)] == list(range(1, n + 1))
+    arrays = (od.CALIBRATION_MATRIX, od.CALIBRATION_OFFSET, od.CALIBRATION_NOISE, od.PROCESS_VALUE, od.AUTOTARE)
+    subs = {array.name: [entry.sub for entry in entries(n).values() if entry.stem == array.name] for array in arrays}
+    assert [len(of_array) for of_array in subs.values()] == [3 * n, n, n * (n + 1) // 2, n + 6, 1]
+    assert subs["autotare"] == [n + 1]
+    assert subs["calibration.offset"] == list(range(1, n + 1))
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tipforce.sensor.contact import scalar
+from tipforce.sensor.contact import scalar, scalar_uncertainty
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce_tools.export import write_c_files
@@ -247,8 +247,8 @@ def _reference(block: Block, k: int, was: bool) -> dict[str, float]:
     f1, f2, f3 = block.F[k]
     cov: Any = block.cov
     P, phi, theta, miss = scalar.contact(f1, f2, f3, block.pull)
-    u_P, u_phi, u_theta = scalar.uncertainty(f1, f2, f3, cov, block.pull)
-    u_miss = scalar.miss_uncertainty(f1, f2, f3, cov) if miss > 0.0 else 0.0
+    u_P, u_phi, u_theta = scalar_uncertainty.uncertainty(f1, f2, f3, cov, block.pull)
+    u_miss = scalar_uncertainty.miss_uncertainty(f1, f2, f3, cov) if miss > 0.0 else 0.0
     bits = scalar.status_bits(P, u_P, u_theta, miss, u_miss, theta, block.limits, was)
     found = block.references[k] = {
         "P": P, "phi": phi, "theta": theta, "miss": miss, "u_P": u_P, "u_phi": u_phi, "u_theta": u_theta,

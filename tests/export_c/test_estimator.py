@@ -18,7 +18,7 @@ from canopen_device import types
 from export_c import estimators
 from export_c.estimators import CALIBRATED, FORCE_STEP, SANITIZE, Block, Library, gcc
 from tipforce.dictionary import table
-from tipforce.dictionary.entries import objects
+from tipforce.dictionary.names import objects
 from tipforce.sensor.contact import scalar
 from tipforce_tools.export import c_files, row_words
 

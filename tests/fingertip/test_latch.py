@@ -23,7 +23,7 @@ from fingertip.finger import (
     matrix,
     record,
 )  # fmt: skip
-from tipforce.sensor.contact import scalar
+from tipforce.sensor.contact import scalar, scalar_uncertainty
 from tipforce.sources.simulated import SILENT
 
 NORMAL = (1.0, -170.0, 10.0)  # straight into the tip
@@ -142,7 +142,9 @@ def test_uncertainty_is_that_of_the_sensor_model(load: tuple[float, float, float
     talk.sync()
     F = [talk.get("f", 0x6130, sub) for sub in (4, 5, 6)]
     variance = struct.unpack("<f", struct.pack("<f", sigma**2))[0] * matrix()[0][0] ** 2
-    u_P, u_phi, u_theta = scalar.uncertainty(F[0], F[1], F[2], (variance, 0, 0, variance, 0, variance), bool(pull))
+    u_P, u_phi, u_theta = scalar_uncertainty.uncertainty(
+        F[0], F[1], F[2], (variance, 0, 0, variance, 0, variance), bool(pull)
+    )
     assert talk.get("f", 0x2107, 1) == pytest.approx(u_P, rel=1e-5)
     assert talk.get("f", 0x2107, 2) == pytest.approx(math.degrees(u_phi), rel=1e-5)
     assert talk.get("f", 0x2107, 3) == pytest.approx(math.degrees(u_theta), rel=1e-4)

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from canopen_device.testing import MemoryStore
 from fingertip.finger import LOAD, OPEN, SAVE, ZERO, Finger, finger, matrix, packing, record
 from tipforce.dictionary import table_objects
-from tipforce.dictionary.entries import Entry, entries
+from tipforce.dictionary.entries import Entry
+from tipforce.dictionary.names import entries
 
 NONE: list[float]
 OURS: list[float]

@@ -30,7 +30,8 @@ def on_node_files() -> tuple[Path, ...]:
     """
     code = (
         "import sys, tipforce.fingertip.node, tipforce.fingertip.filters, tipforce.fingertip.judgement; "
-        "import tipforce.sensor.contact.scalar_redundancy, canopen_device.core.program, canopen_device.core.lss; "
+        "import tipforce.sensor.contact.scalar_redundancy, tipforce.sensor.contact.scalar_uncertainty; "
+        "import tipforce.fingertip.interrupts, canopen_device.core.program, canopen_device.core.lss; "
         "import tipforce.dictionary.table_objects; tipforce.dictionary.table_objects.objects(); "
         "import tipforce.sources.simulated, tipforce.sources.front_end; "
         "print(*[m.__file__ for n, m in sys.modules.items() if n.startswith(('tipforce', 'canopen_device'))])"

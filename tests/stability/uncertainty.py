@@ -9,7 +9,7 @@ from fingertip import finger as rig
 from stability.case import Observed, refusal
 from tipforce.arrays import FloatArray
 from tipforce.dictionary import indices
-from tipforce.sensor.contact import estimate, scalar
+from tipforce.sensor.contact import estimate, scalar, scalar_uncertainty, validity
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.contact.redundancy import weighted_inverse
 
@@ -22,7 +22,7 @@ def uncertainty_no_noise() -> Observed:
     and theta counts as resolved"""
     F, nothing = np.array([[0.3, 0.1, -0.9], [3.0, 5.0, 4.0]]), np.zeros((3, 3))
     u = estimate.standard_uncertainties(F, nothing, pull=False)
-    node = [scalar.uncertainty(a, b, c, (0.0,) * 6, False) for a, b, c in F.tolist()]
+    node = [scalar_uncertainty.uncertainty(a, b, c, (0.0,) * 6, False) for a, b, c in F.tolist()]
     bits = status(estimate.contacts(F, pull=False), u, miss_uncertainties(F, nothing), _LIMITS)
     held = not u.any() and not np.isnan(u).any() and node == [(0.0, 0.0, 0.0)] * 2
     return held and bits.tolist() == [1, 1], f"u {u.ravel().tolist()}, status {bits.tolist()}"
@@ -39,7 +39,9 @@ def uncertainty_enormous_noise() -> Observed:
     f1, f2, f3 = F.tolist()
     node = []
     for variance in (noise * noise).tolist():
-        u_P, _, u_theta = scalar.uncertainty(f1, f2, f3, (variance, 0.0, 0.0, variance, 0.0, variance), False)
+        u_P, _, u_theta = scalar_uncertainty.uncertainty(
+            f1, f2, f3, (variance, 0.0, 0.0, variance, 0.0, variance), False
+        )
         bits = scalar.status_bits(1.0, u_P, u_theta, 0.0, 0.0, 0.1, _LIMITS, True)
         node.append(bool(bits & scalar.THETA_UNRESOLVED))
     grows = bool((np.diff(u[:, 2]) > 0.0).all())
@@ -128,7 +130,7 @@ def uncertainty_tangential_flag() -> Observed:
             u = estimate.standard_uncertainties(F, K, pull=False)
             bits = status(estimate.contacts(F, pull=False), u, miss_uncertainties(F, K), _LIMITS)
             large = bool(u[0, 2] > math.radians(30.0))
-            bit_4, holds = bool(bits[0] & scalar.THETA_UNRESOLVED), bool(estimate.first_order_holds(F, K)[0, 2])
+            bit_4, holds = bool(bits[0] & scalar.THETA_UNRESOLVED), bool(validity.first_order_holds(F, K)[0, 2])
             # The curvature of asin over one standard uncertainty: u(x) / cos^2, u(x) = sigma sqrt(1 + x^2) here.
             bend = sigma * math.sqrt(2.0 - cosine * cosine) / max(cosine * cosine, 1e-300)
             wrong += bit_4 != large or holds != (bend <= 0.25)
@@ -147,7 +149,7 @@ def uncertainty_first_order() -> Observed:
         delta, phi, sigma = rng.uniform(-1.5, 1.5), rng.uniform(-3.0, 3.0), 10.0 ** rng.uniform(-2.0, -0.7)
         F = force_vector(1.0, phi, phi - delta + math.pi)
         K = sigma * sigma * np.eye(3)
-        if not estimate.first_order_holds(F, K)[2]:
+        if not validity.first_order_holds(F, K)[2]:
             continue
         holding += 1
         theta = estimate.contacts(np.vstack((F, F + sigma * draws)), pull=False).theta_rad

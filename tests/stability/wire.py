@@ -10,7 +10,7 @@ from canopen_device.core import codes, communication, emcy
 from fingertip import finger as rig
 from stability.case import Observed, refusal
 from tipforce.dictionary import indices, table
-from tipforce.dictionary.entries import entries
+from tipforce.dictionary.names import entries
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.host.decoding import decoder as decode
 from tipforce.host.frames.frame_array import FrameArray, frame_array

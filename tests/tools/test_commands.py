@@ -13,7 +13,7 @@ import pytest
 from canopen_device import types
 from host.bus_with_nodes import beam_calibration, connected, finger, new_channel
 from tipforce.dictionary import objects as od
-from tipforce.dictionary.entries import entries
+from tipforce.dictionary.names import entries
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.network.bus import Bus
 from tools.rig import Printed, Tipforce, called

@@ -24,7 +24,7 @@ from tipforce.sensor.structure.published import GROOVES_DEG
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.watching.feeds import Finger
 from tipforce_lab.scene_cost import part_costs
-from tipforce_tools.cli import common
+from tipforce_tools.cli import tables
 from tipforce_tools.cli.main import main
 from tipforce_tools.demo import job
 from tipforce_tools.page.sources import is_scene, scene_source
@@ -125,13 +125,13 @@ def test_gauges_of_a_decoded_log_are_measurements(log: Path, tmp_path: Path, pri
 def test_a_number_is_never_cut(monkeypatch: pytest.MonkeyPatch) -> None:
     for width in (200, 40, 10):
         stream = io.StringIO()
-        monkeypatch.setattr(common, "console", lambda w=width, s=stream: Console(file=s, width=w))
+        monkeypatch.setattr(tables, "console", lambda w=width, s=stream: Console(file=s, width=w))
         table = Table(title="t")
         for name in ("first value", "second value", "third value"):
             table.add_column(name, justify="right")
         table.add_column("words")
         table.add_row("-179.961", "1234.567", "+0.003", "some words that may wrap anywhere")
-        common.print_table(table)
+        tables.print_table(table)
         told = stream.getvalue()
         assert all(number in told for number in ("-179.961", "1234.567", "+0.003")), told
         assert ("\u2502" in told) == (width == 200)
@@ -143,7 +143,7 @@ def test_a_number_is_never_cut(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_no_word_of_a_table_is_cut_in_eighty_columns(words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is too long for its column goes on in the next line: a key is there to be copied."""
     stream = io.StringIO()
-    monkeypatch.setattr(common, "console", lambda *_, **__: Console(file=stream, width=80))
+    monkeypatch.setattr(tables, "console", lambda *_, **__: Console(file=stream, width=80))
     monkeypatch.chdir(Path(__file__).parents[2])
     assert main(words.split()) == 0
     told = stream.getvalue()

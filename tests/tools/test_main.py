@@ -17,7 +17,7 @@ import pytest
 
 from tipforce.dictionary.table import SOFTWARE_VERSION
 from tipforce.errors import EnvironmentLackError, InputError, LogError, TipforceError
-from tipforce_tools.cli import bus_flags, common
+from tipforce_tools.cli import bus_flags, common, tables
 from tipforce_tools.cli.main import COMMANDS, EXIT_CODES, command_parser, main
 from tools.command_lines import LINES
 from tools.decode.logs import log_lines, write_log
@@ -341,7 +341,7 @@ def test_colour(
         monkeypatch.setenv(name, value)
     for stderr in (False, True):
         common.OUTPUT.set_up(bus_arguments(*words.split()))
-        common.console(stderr=stderr).print("x", style="bold red")
+        tables.console(stderr=stderr).print("x", style="bold red")
         out, err = capsys.readouterr()
         assert ("\x1b[1;31m" in (err if stderr else out)) is coloured
         assert ("\x1b" in out + err) is coloured  # plain is plain: not bold, either

@@ -20,7 +20,7 @@ import pytest
 
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.network.bus import Bus
-from tipforce.sensor.contact import scalar
+from tipforce.sensor.contact import scalar_uncertainty
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from vcan.adc import ADDRESSES, COUNTS, Adcs, in_user_mode_linux, load_modules
@@ -162,7 +162,7 @@ def test_the_host_sees_the_recorded_contact_within_the_bound(rig: Rig) -> None:
         P, phi, theta = found.contact[0] * 1e-3, found.contact[1] * 0.01, found.contact[2] * 0.01
         truth_P, truth_phi, truth_theta = rig.load
         angles = math.radians(truth_phi), math.radians(truth_phi - truth_theta)
-        u = scalar.uncertainty(
+        u = scalar_uncertainty.uncertainty(
             truth_P * math.sin(angles[0]), truth_P * math.sin(angles[1]), truth_P * math.cos(angles[0]), covariance,
             True,
         )  # fmt: skip

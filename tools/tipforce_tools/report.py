@@ -4,7 +4,7 @@ import argparse
 import datetime
 from pathlib import Path
 
-from tipforce_tools.cli import common
+from tipforce_tools.cli import common, tables
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         common.print_json({"record": "verdict", **text.conclusions(job.report)})
         common.note(text.summary(job.report))
     else:
-        text.print_report(common.console(), job.report)
+        text.print_report(tables.console(), job.report)
     if args.output is not None:
         page, *others = write(job.report, args.output, common.json_line)
         common.note(f"written: {page}, and {len(others)} more files")

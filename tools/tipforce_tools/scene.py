@@ -6,7 +6,7 @@ import argparse
 import time
 from typing import TYPE_CHECKING, Any
 
-from tipforce_tools.cli import bus_flags, common
+from tipforce_tools.cli import bus_flags, common, log_flags, tables
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run or explain the scene; return 0, or 1 if an expectation did not hold."""
-    path = common.scene_or_file(args.scene)
+    path = log_flags.scene_or_file(args.scene)
     from tipforce.scene.reader import read_scene
     from tipforce.scene.registry import bus_load
 
@@ -82,7 +82,7 @@ def _print_fingers(title: str, outcome: Outcome) -> None:
         rows.append([common.shown_id(finger.node_id), samples, "P N\nphi deg\ntheta deg", *values, *counts])
     title = f"{title}: at the end, and errors over all samples with a known value"
     headings = (">node", ">samples", "", ">applied", ">estimated", ">RMS error", ">max error", "missing", "EMCY")
-    common.print_rows(title, headings, rows, lines=True)
+    tables.print_rows(title, headings, rows, lines=True)
 
 
 def _print_checks(outcome: Outcome) -> None:
@@ -96,7 +96,7 @@ def _print_checks(outcome: Outcome) -> None:
         for key, alike in rows.items()
     ]
     styles = ["bold red" if verdict == "FAILED" else None for verdict, _ in rows]
-    common.print_rows("expectations of the scene", ("", "expected", "nodes", "found"), cells, styles)
+    tables.print_rows("expectations of the scene", ("", "expected", "nodes", "found"), cells, styles)
     held, failed, unjudged = (sum(check.ok is verdict for check in outcome.checks) for verdict in (True, False, None))
     word = "FAIL" if failed else "PASS" if held else "NOT JUDGED"
     rest = f", {unjudged} not judged (the run was too short)" if unjudged else ""
@@ -159,7 +159,7 @@ def _explain(path: Path, scene: Scene, name: str, with_cost: bool) -> int:
     for record in sent:
         hz, load = (f"{record['rate_hz']:g} Hz", f"{100 * record['load']:.2f} %") if record["rate_hz"] else ("once", "")
         cells.append([record["cob_id"], record["what"], hz, f"{record['data_bytes']} bytes", load])
-    common.print_rows("COB-IDs sent (EMCY only on an error)", ("COB-ID", "", ">rate", ">data", ">load"), cells)
+    tables.print_rows("COB-IDs sent (EMCY only on an error)", ("COB-ID", "", ">rate", ">data", ">load"), cells)
     fits = "" if high <= 1.0 else " (with the most stuff bits it does not fit)" if low <= 1.0 else " (it does not fit)"
     shown = f"{100 * low:.1f} % without stuff bits, {100 * high:.1f} % with the most stuff bits{fits}"
     print(f"bus load at {scene.bit_rate} bit/s: {shown}")
@@ -174,7 +174,7 @@ def _print_parts(rows: list[dict[str, Any]], title: str, with_cost: bool) -> Non
         loads = _short(row["modules"]) if row["built"] else ""
         cells.append([row["part"], "built" if row["built"] else "left out", row["why"], *spent, loads])
     headings = ("part", "", "why", *(f">{key.replace('_', ' ')}" for key in costs), "loads")
-    common.print_rows(title, headings, cells, [None if row["built"] else "dim" for row in rows])
+    tables.print_rows(title, headings, cells, [None if row["built"] else "dim" for row in rows])
 
 
 def _short(modules: list[str]) -> str:

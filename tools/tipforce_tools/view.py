@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
-from tipforce_tools.cli import bus_flags, common
+from tipforce_tools.cli import bus_flags, common, log_flags
 from tipforce_tools.page.guard import page_guard
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     from tipforce_tools.page.server import serve_page
 
     guard = page_guard(args)
-    path = common.scene_or_file(args.source) if args.source else None
+    path = log_flags.scene_or_file(args.source) if args.source else None
     with contextlib.closing(_source(args, path)) as source:
         return serve_page(args, source, guard)
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 from canopen_device import types
 from canopen_device.eds.sections import lists_of
 from tipforce.dictionary import table
-from tipforce.dictionary.entries import Entry, entries, objects
+from tipforce.dictionary.entries import Entry
+from tipforce.dictionary.names import entries, objects
 from tipforce.errors import InputError
 
 if TYPE_CHECKING:

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
 from canopen_device import types
-from tipforce.dictionary import table, table_objects
+from tipforce.dictionary import table
 from tipforce.errors import InputError
 
 if TYPE_CHECKING:
     from tipforce.dictionary.table import Limit
 
 T = TypeVar("T", bound=types.Value)
-Entries: TypeAlias = "dict[tuple[int, int], Entry[Any]]"
 
 
 @dataclass(frozen=True)
@@ -92,61 +89,9 @@ class Array(Generic[T]):
             raise InputError(f"{self.name}: sub-index {sub}, allowed 1 to 254")
         return Entry[T](self.index, sub, self.type, f"{self.name}:{sub}", self.access, self.unit)
 
-    def entries(self, n: int = 3) -> Iterator[Entry[T]]:
-        """Every entry that a node with ``n`` gauges has, in order. Raises InputError for an ``n`` outside 3..8."""
-        known = entries(n, True, True).values()
-        return (self[entry.sub] for entry in known if entry.index == self.index and entry.stem == self.name)
-
-
-@dataclass(frozen=True, slots=True)
-class Object:
-    """One index of the dictionary: ``code`` is the object code (7 VAR, 8 ARRAY, 9 RECORD; CiA 301, 7.4.3)."""
-
-    index: int
-    code: int
-    name: str
-    stem: str
-    entries: tuple[Entry[Any], ...]
-
 
 def gauges_of(product: int) -> int:
     """Number of gauges of a node by its product code (1018h:2); 0 for a node that is none of this dictionary."""
     gauges = product & table.PRODUCT_GAUGES
     ours = product & ~(table.PRODUCT_SIMULATED | table.PRODUCT_24_BIT) == table.PRODUCT | gauges
     return gauges if ours and table.MIN_GAUGES <= gauges <= table.MAX_GAUGES else 0
-
-
-@lru_cache(maxsize=32)
-def objects(
-    n: int = 3, simulated: bool = False, converter: table.Converter = table.CONVERTER_16, programs: bool = False
-) -> tuple[Object, ...]:
-    """Every object of a node with ``n`` gauges, ordered by index. Raises InputError for an ``n`` outside 3..8."""
-    try:
-        declared = table_objects.objects(n, simulated, converter, programs)
-    except ValueError as error:
-        raise InputError(str(error)) from None
-    unfolded = []
-    for index, code, name, stem, runs in declared:
-        listed: list[Entry[Any]] = []
-        for first, count, titles, slug, letter, access, flags, defaults, low, high, unit in runs:
-            counted = code != table.VAR and not (first == 0 or (code == table.RECORD and count == 1))
-            own = "" if slug == "count" else slug
-            for k, sub in enumerate(range(first, first + count)):
-                full = f"0x{index:04X}:{sub:02X}" if not own else f"{own}:{sub}" if counted else own
-                title = titles[k] if isinstance(titles, tuple) else titles.replace("%d", str(sub))
-                default = defaults[k] if isinstance(defaults, tuple) else defaults
-                listed.append(Entry(index, sub, letter, full, access, unit, title, own, flags, default, low, high))
-        unfolded.append(Object(index, code, name, stem, tuple(listed)))
-    return tuple(unfolded)
-
-
-@lru_cache(maxsize=32)
-def entries(n: int = 3, simulated: bool = False, programs: bool = False) -> Entries:
-    """Every entry by (index, sub), in order. Raises InputError for an ``n`` outside 3..8."""
-    known = objects(n, simulated, programs=programs)
-    return {entry.key: entry for each in known for entry in each.entries}
-
-
-def describe(index: int, sub: int, n: int = 3) -> Entry[Any] | None:
-    """What the dictionary of ``n`` gauges says of an entry, None where it has no such entry."""
-    return entries(n, True, True).get((index, sub))

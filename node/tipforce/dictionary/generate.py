@@ -13,7 +13,8 @@ from canopen_device.core import communication
 from tipforce.dictionary import indices, signals, table
 from tipforce.dictionary.dbc import dbc_text
 from tipforce.dictionary.eds import default_text, eds_text, value_text
-from tipforce.dictionary.entries import Entry, Object, objects
+from tipforce.dictionary.entries import Entry
+from tipforce.dictionary.names import Object, objects
 
 _HEADER = '''\
 """Entries of the dictionary as typed constants, those that are used. Written by ``tipforce.dictionary.generate``.

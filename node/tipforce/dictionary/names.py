@@ -1,16 +1,68 @@
-"""Entries by the name that a person writes: ``calibration.matrix:3``, ``0x2103:04``, ``2103h:04``. After a dotted name
-the sub-index is decimal, because it counts; after an index hexadecimal, because it continues that number."""
+"""All entries of a node: the table's runs unfolded, each sub-index an ``Entry``, by place and by the name that a person
+writes: ``calibration.matrix:3``, ``0x2103:04``, ``2103h:04``. After a dotted name the sub-index is decimal, because it
+counts; after an index hexadecimal, because it continues that number."""
 
-import difflib
+from __future__ import annotations
+
 import re
+from dataclasses import dataclass
+from functools import lru_cache
 from itertools import groupby
-from typing import Any
+from typing import Any, TypeAlias
 
-from tipforce.dictionary import indices, table
-from tipforce.dictionary.entries import Entries, Entry, entries
+from tipforce.dictionary import indices, table, table_objects
+from tipforce.dictionary.entries import Entry
 from tipforce.errors import InputError
 
+Entries: TypeAlias = dict[tuple[int, int], Entry[Any]]
 _NUMERIC = re.compile(r"(?:0[xX]([0-9a-fA-F]{1,4})|([0-9a-fA-F]{4})[hH])(?:[:.](?:0[xX])?([0-9a-fA-F]{1,2})[hH]?)?")
+
+
+@dataclass(frozen=True, slots=True)
+class Object:
+    """One index of the dictionary: ``code`` is the object code (7 VAR, 8 ARRAY, 9 RECORD; CiA 301, 7.4.3)."""
+
+    index: int
+    code: int
+    name: str
+    stem: str
+    entries: tuple[Entry[Any], ...]
+
+
+@lru_cache(maxsize=32)
+def objects(
+    n: int = 3, simulated: bool = False, converter: table.Converter = table.CONVERTER_16, programs: bool = False
+) -> tuple[Object, ...]:
+    """Every object of a node with ``n`` gauges, ordered by index. Raises InputError for an ``n`` outside 3..8."""
+    try:
+        declared = table_objects.objects(n, simulated, converter, programs)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    unfolded = []
+    for index, code, name, stem, runs in declared:
+        listed: list[Entry[Any]] = []
+        for first, count, titles, slug, letter, access, flags, defaults, low, high, unit in runs:
+            counted = code != table.VAR and not (first == 0 or (code == table.RECORD and count == 1))
+            own = "" if slug == "count" else slug
+            for k, sub in enumerate(range(first, first + count)):
+                full = f"0x{index:04X}:{sub:02X}" if not own else f"{own}:{sub}" if counted else own
+                title = titles[k] if isinstance(titles, tuple) else titles.replace("%d", str(sub))
+                default = defaults[k] if isinstance(defaults, tuple) else defaults
+                listed.append(Entry(index, sub, letter, full, access, unit, title, own, flags, default, low, high))
+        unfolded.append(Object(index, code, name, stem, tuple(listed)))
+    return tuple(unfolded)
+
+
+@lru_cache(maxsize=32)
+def entries(n: int = 3, simulated: bool = False, programs: bool = False) -> Entries:
+    """Every entry by (index, sub), in order. Raises InputError for an ``n`` outside 3..8."""
+    known = objects(n, simulated, programs=programs)
+    return {entry.key: entry for each in known for entry in each.entries}
+
+
+def describe(index: int, sub: int, n: int = 3) -> Entry[Any] | None:
+    """What the dictionary of ``n`` gauges says of an entry, None where it has no such entry."""
+    return entries(n, True, True).get((index, sub))
 
 
 def resolve(text: str, n: int = 3) -> Entry[Any]:
@@ -56,6 +108,8 @@ def _named(text: str, known: Entries, n: int) -> Entry[Any]:
         return same[0]
     stems = {own.partition(":")[0] for own in by_name}
     tails = {stem.rpartition(".")[2]: stem for stem in sorted(stems)}
+    import difflib  # its import costs time
+
     near = difflib.get_close_matches(name.partition(":")[0], sorted(stems | set(tails)), n=3, cutoff=0.6)
     hints = list(dict.fromkeys(tails.get(word, word) for word in near))
     if hints:

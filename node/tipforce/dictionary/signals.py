@@ -11,7 +11,8 @@ from typing import Any
 from canopen_device import types
 from canopen_device.core import communication
 from tipforce.dictionary import indices, table
-from tipforce.dictionary.entries import Entry, entries
+from tipforce.dictionary.entries import Entry
+from tipforce.dictionary.names import entries
 from tipforce.errors import InputError
 
 MAX_BITS = 64

@@ -9,7 +9,7 @@ from tipforce.sensor.contact import scalar
 
 from .calibration import CALIBRATION_GROUP, Calibration
 from .channels import Channels
-from .reporting import Interrupts, Reports
+from .reporting import Reports, interrupted
 from .sample import NO_TARE, Sample
 
 TYPE_CHECKING = False
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from tipforce.dictionary.table import Converter
 
     from .filters import Filtering
+    from .interrupts import Interrupts
     from .source import Reading, Source
 
 REFRESH_US = 100000  # without SYNC, a live value that is read is at most this old
@@ -48,7 +49,8 @@ class Fingertip(Application):
         self.channels = Channels(device.od, n, self)
         self._tared_us = self._counter = self._waiting_faults = 0
         self._forget(0)
-        self.interrupts = Interrupts(device, self.channels.exact)
+        self.interrupts: "Interrupts | None" = None
+        self._interrupted: "dict[int, list[int]]" = {}  # channels with interrupts -> numbers of their TPDOs
         self.reports = Reports(device)
         device.application = self
         device.storage.add_group(CALIBRATION_GROUP, "calibration", self.calibration.dump, self.calibration.restore)
@@ -91,12 +93,16 @@ class Fingertip(Application):
 
     def on_settings(self) -> None:
         """Find the channels whose interrupts are enabled."""
-        self.interrupts.load()
+        self._interrupted = interrupted(self.device)
+        if self._interrupted and self.interrupts is None:
+            from .interrupts import Interrupts  # a node without interrupts does without
+
+            self.interrupts = Interrupts(self.device, self.channels.exact)
         wanted = self.filtering is not None or self._watching() or self.source.watch_us
         self.due_us = self.device.now_us if wanted else codes.NEVER_US
 
     def _watching(self) -> bool:
-        return self.device.nmt.state == codes.OPERATIONAL and bool(self.interrupts.watched)
+        return self.device.nmt.state == codes.OPERATIONAL and bool(self._interrupted)
 
     def load_filter(self) -> None:
         """Start the filter of 61A0h and 61A1h again; an average of one conversion is no filter."""
@@ -167,8 +173,8 @@ class Fingertip(Application):
         self._waiting = None
         self.sample = sample
         self.reports.sampled(sample, before.faults)
-        if self.interrupts.watched:
-            self.interrupts.check()
+        if self.interrupts is not None:
+            self.interrupts.check(self._interrupted)
 
     def _sampled(self, now_us: int) -> Sample:
         filtered = None

@@ -1,4 +1,4 @@
-"""What a node sends by itself: EMCY for faults, TPDOs on a change of 2124h and 2126h, interrupts (6133h to 6136h)."""
+"""What a node reports by itself: EMCY for each fault, TPDOs on a change of 2124h and of 2126h (docs/objects.md)."""
 
 from canopen_device.core import emcy
 from canopen_device.core.codes import EVENT_DRIVEN
@@ -6,8 +6,6 @@ from tipforce.dictionary import indices, table
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from canopen_device.core.node import Device
 
     from .sample import Sample
@@ -15,60 +13,24 @@ if TYPE_CHECKING:
 
 _ON_SYNC_AFTER_EVENT = 0  # a transmission type
 _CHANNEL_VALUES = table.forms(indices.PROCESS_VALUE)
-_LIMITS = (indices.INTERRUPT_LOWER, indices.INTERRUPT_UPPER, indices.INTERRUPT_HYSTERESIS)
-_INSIDE, _BELOW, _ABOVE, _UNKNOWN = 0, -1, 1, 2
 
 
-class Interrupts:
-    """Send a TPDO of type 254, 255 (or 0: with a SYNC) when a channel in it moved by 6133h (0: off), left or re-entered
-    6134h..6135h (hysteresis 6136h; limits at their defaults are off), or became known or unknown."""
-
-    def __init__(self, device: "Device", value: "Callable[[int], float]") -> None:
-        self._device = device
-        self._value = value
-        self.watched: "dict[int, list[int]]" = {}  # channel -> numbers of the TPDOs that carry it
-        self._sent: "dict[int, float]" = {}
-        self._zones: "dict[int, int]" = {}
-
-    def load(self) -> None:
-        """Find the channels to watch; called when settings or PDOs may have changed."""
-        self.watched = {}
-        for number, transmission, keys in self._device.tpdos.mapped():
-            if transmission == _ON_SYNC_AFTER_EVENT or transmission >= EVENT_DRIVEN:
-                for index, sub in keys:
-                    if index in _CHANNEL_VALUES:
-                        low, high = [self._device.od.default(limit, sub) for limit in _LIMITS[:2]]
-                        lower, upper, _ = [self._setting(limit, sub) for limit in _LIMITS]
-                        delta = self._setting(indices.INTERRUPT_DELTA, sub)
-                        if delta > 0.0 or lower > low or upper < high:  # type: ignore[operator]
-                            self.watched.setdefault(sub, []).append(number)
-
-    def check(self) -> None:
-        """Compare the present sample; ask for the TPDOs of the channels that have something to say."""
-        for sub, numbers in self.watched.items():
-            value = self._value(sub)
-            zone = self._zone(sub, value)
-            delta, last = self._setting(indices.INTERRUPT_DELTA, sub), self._sent.get(sub)
-            moved = delta > 0.0 and last is not None and abs(value - last) >= delta
-            if moved or zone != self._zones.get(sub):
-                self._sent[sub] = value
-                self._zones[sub] = zone
-                for number in numbers:
-                    self._device.tpdos.request(number)
-
-    def _zone(self, sub: int, value: float) -> int:
-        if value != value:  # noqa: PLR0124 (true for NaN alone)
-            return _UNKNOWN
-        lower, upper, hysteresis = [self._setting(index, sub) for index in _LIMITS]
-        before = self._zones.get(sub, _INSIDE)
-        if value < lower or (before == _BELOW and value < lower + hysteresis):
-            return _BELOW
-        if value > upper or (before == _ABOVE and value > upper - hysteresis):
-            return _ABOVE
-        return _INSIDE
-
-    def _setting(self, index: int, sub: int) -> float:
-        return float(self._device.od.values[index << 8 | sub])
+def interrupted(device: "Device") -> "dict[int, list[int]]":
+    """Return the channels whose interrupts (6133h to 6135h) are set, and the numbers of the event-driven TPDOs that
+    carry them."""
+    channels: "dict[int, list[int]]" = {}
+    limits = indices.INTERRUPT_LOWER, indices.INTERRUPT_UPPER
+    for number, transmission, keys in device.tpdos.mapped():
+        if transmission == _ON_SYNC_AFTER_EVENT or transmission >= EVENT_DRIVEN:
+            for index, sub in keys:
+                if index in _CHANNEL_VALUES:
+                    low, high = [float(device.od.default(limit, sub)) for limit in limits]
+                    delta, lower, upper = [
+                        float(device.od.values[index << 8 | sub]) for index in (indices.INTERRUPT_DELTA,) + limits
+                    ]
+                    if delta > 0.0 or lower > low or upper < high:
+                        channels.setdefault(sub, []).append(number)
+    return channels
 
 
 COLDEST, HOTTEST = -2000, 8000  # 0.01 degC; outside, glue and coefficients of the gauges are not specified

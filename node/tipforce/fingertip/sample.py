@@ -183,16 +183,20 @@ class Sample:
             if self.active is None or self.solver is None:
                 self._uncertainty = (NAN, NAN, NAN)
             else:
+                from tipforce.sensor.contact.scalar_uncertainty import uncertainty  # few samples need it
+
                 f1, f2, f3 = self.force()
-                self._uncertainty = scalar.uncertainty(f1, f2, f3, self.covariance(), self.active.pull)
+                self._uncertainty = uncertainty(f1, f2, f3, self.covariance(), self.active.pull)
         return self._uncertainty
 
     def magnitude_uncertainty(self) -> float:
         """Standard uncertainty of P (N) alone; NaN without calibration."""
         if self._uncertainty is not None or self.active is None or self.solver is None:
             return self.uncertainty()[0]
+        from tipforce.sensor.contact.scalar_uncertainty import magnitude_uncertainty
+
         f1, f2, f3 = self.force()
-        return scalar.magnitude_uncertainty(f1, f2, f3, self.covariance())
+        return magnitude_uncertainty(f1, f2, f3, self.covariance())
 
     def find_values(self, sub: int) -> "list[float]":
         """The channels in the unit of 6131h, NaN where hidden: gauges, forces, contact, as far as ``sub`` needs."""
@@ -255,7 +259,11 @@ class Sample:
             u_P = u_theta = 0.0  # of these the bits need no more than that theta is resolved
             if not scalar.clearly_resolved(P, force[1], covariance):
                 u_P, _u_phi, u_theta = self.uncertainty()
-        u_miss = scalar.miss_uncertainty(force[0], force[1], force[2], covariance) if miss > 0.0 else 0.0
+        u_miss = 0.0
+        if miss > 0.0:
+            from tipforce.sensor.contact.scalar_uncertainty import miss_uncertainty
+
+            u_miss = miss_uncertainty(force[0], force[1], force[2], covariance)
         bits |= scalar.status_bits(P, u_P, u_theta, miss, u_miss, theta, self.active.limits, self._was_present)
         if bits | scalar.OUTSIDE_PAD == _ALL_KNOWN:
             self._unknown = 0

@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from tipforce.sensor.calibration.result import covariance_of_estimate as covariance_of_estimate
     from tipforce.sensor.calibration.simulation import simulate as simulate
     from tipforce.sensor.contact.estimate import contacts as contacts
-    from tipforce.sensor.contact.estimate import curvature as curvature
-    from tipforce.sensor.contact.estimate import first_order_holds as first_order_holds
     from tipforce.sensor.contact.estimate import force_from_strain as force_from_strain
     from tipforce.sensor.contact.estimate import force_vector as force_vector
     from tipforce.sensor.contact.estimate import standard_uncertainties as standard_uncertainties
     from tipforce.sensor.contact.redundancy import detect as detect
     from tipforce.sensor.contact.redundancy import parity as parity
+    from tipforce.sensor.contact.validity import curvature as curvature
+    from tipforce.sensor.contact.validity import first_order_holds as first_order_holds
     from tipforce.sensor.dynamics.first_order_hold import node_coefficients as node_coefficients
     from tipforce.sensor.dynamics.first_order_hold import respond as respond
     from tipforce.sensor.dynamics.model import STEEL_DENSITY as STEEL_DENSITY
@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from tipforce.sensor.structure.off_axis import apparent_force as apparent_force
     from tipforce.sensor.structure.off_axis import off_axis_wrenches as off_axis_wrenches
     from tipforce.sensor.structure.plane_frame import closing_load as closing_load
+    from tipforce.sensor.structure.quality import condition_number as condition_number
+    from tipforce.sensor.structure.quality import noise_gain as noise_gain
     from tipforce.sensor.structure.strain import calibration_matrix as calibration_matrix
-    from tipforce.sensor.structure.strain import condition_number as condition_number
-    from tipforce.sensor.structure.strain import noise_gain as noise_gain
     from tipforce.sensor.structure.strain import strain_matrix as strain_matrix
     from tipforce.sensor.structure.strain import strain_row as strain_row
 else:

@@ -18,6 +18,7 @@ from tipforce.host.decoding.decoder import Decoder, Samples
 from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.decoding.health import Health
 from tipforce.host.decoding.pdo_layout import EdsFiles, Layouts
+from tipforce.host.decoding.service_frames import add_samples, find_duplicates
 from tipforce.host.frames.frame_array import FrameArray, heartbeats_and_emcys
 from tipforce.host.network.bus_load import LEAST_BITS, MOST_BITS, kinds
 from tipforce.samples import reasons
@@ -163,7 +164,7 @@ class BusMonitor:
         self._errors += int(error.sum())
         kind = kinds(frames)
         self._traffic.add(frames["t_ns"][~error], np.ones_like(kind), LEAST_BITS[kind], MOST_BITS[kind])
-        for duplicate in self._duplicates.add(frames):
+        for duplicate in find_duplicates(self._duplicates, frames):
             if duplicate.node_id in self._watched:  # also one without heartbeats
                 self._nodes.setdefault(duplicate.node_id, _Node())
         data = (can_id & np.uint32(codes.EXTENDED_FLAG | codes.REMOTE_FLAG | codes.ERROR_FLAG)) == 0
@@ -173,7 +174,7 @@ class BusMonitor:
             decoded = self._decoder.decode(part)
             for (node_id, name), samples in decoded.items():
                 self._tally.add_samples(samples, self._modulus.modulus)
-                self._duplicates.samples(samples, part, self._modulus.modulus)
+                add_samples(self._duplicates, samples, part, self._modulus.modulus)
                 self._nodes[node_id].take(name, samples)
             self._health.take(part, decoded.values())
         if self._of_eds is not None:

@@ -12,6 +12,7 @@ from canopen_device.core import codes
 from canopen_device.core.emcy import COB_ID_COLLISION, SYNC_LENGTH
 from tipforce.dictionary.service_texts import emcy_text
 from tipforce.host.decoding.duplicates import DuplicateNodes, of_product
+from tipforce.host.decoding.service_frames import find_duplicates
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.samples.reasons import NOT_CALIBRATED
 
@@ -79,7 +80,7 @@ class Observed:
 
     def take(self, frames: FrameArray) -> None:
         """Take frames, FRAME (n,), in the order of reception."""
-        self.duplicates.add(frames)
+        find_duplicates(self.duplicates, frames)
         self.count(frames)
 
     def count(self, frames: FrameArray) -> None:

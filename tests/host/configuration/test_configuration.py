@@ -9,7 +9,7 @@ from canopen_device import types
 from host.bus_with_nodes import connected, finger
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.eds import dcf_text
-from tipforce.dictionary.entries import entries
+from tipforce.dictionary.names import entries
 from tipforce.errors import InputError, SdoAbortError
 from tipforce.host.configuration.configuration_file import (
     Configuration,

@@ -10,6 +10,7 @@ from canopen_device.core.node import Device
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.decoding.duplicates import DuplicateNodes
+from tipforce.host.decoding.service_frames import add_samples, find_duplicates
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.network.faulty_bus import Faults, Injector
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -86,9 +87,9 @@ def causes(frames: Iterable[Frame], services: frozenset[int] | None = None) -> l
     found = []
     for start in range(0, len(kept), 50):
         part = frame_array(kept[start : start + 50])
-        found += [one.cause for one in watch.add(part)]
+        found += [one.cause for one in find_duplicates(watch, part)]
         for samples in decoder.decode(part).values():
-            watch.samples(samples, part, 256)
+            add_samples(watch, samples, part, 256)
         found += [one.cause for one in watch.found.values()]
     return found
 
@@ -121,7 +122,7 @@ def test_two_nodes_are_found_on_a_faulty_bus(name: str) -> None:
 
 
 def heard(*frames: Frame) -> list[str]:
-    return [one.cause for one in DuplicateNodes().add(frame_array(frames))]
+    return [one.cause for one in find_duplicates(DuplicateNodes(), frame_array(frames))]
 
 
 def beats(times_ms: Iterable[int], states: Sequence[int] = (5,)) -> list[Frame]:
@@ -162,8 +163,10 @@ def test_node_guarding_and_the_boot_up_after_a_reset(both: bool) -> None:
     ]
     booting = [frame for k in range(10) for frame in ((k, 0x000, b"\x82\x05"), *[(k, 0x705, b"\x00")] * (1 + both))]
     watch = DuplicateNodes()
-    watch.add(frame_array([(0, 0x705, b"\x7f")]))
-    assert [one.cause for one in watch.add(frame_array(booting))][:1] == ["two nodes boot as node 5"] * both
+    find_duplicates(watch, frame_array([(0, 0x705, b"\x7f")]))
+    assert [one.cause for one in find_duplicates(watch, frame_array(booting))][:1] == [
+        "two nodes boot as node 5"
+    ] * both
     assert heard(*guarding) == ["two nodes respond as node 5"] * both
 
 
@@ -172,7 +175,7 @@ def test_a_boot_up_ends_a_finding_and_another_serial_number_after_it_is_another_
 
     def read(*serials: int) -> list[str]:
         responses = [(0, 0x585, bytes((0x43, 0x18, 0x10, 4)) + serial.to_bytes(4, "little")) for serial in serials]
-        return [str(one) for one in watch.add(frame_array([(0, 0x605, READ_SERIAL), *responses]))]
+        return [str(one) for one in find_duplicates(watch, frame_array([(0, 0x605, READ_SERIAL), *responses]))]
 
     assert read(7) == []
     assert read(7, 8) == [
@@ -180,7 +183,7 @@ def test_a_boot_up_ends_a_finding_and_another_serial_number_after_it_is_another_
         "`tipforce lss assign ID --serial 8`, then `tipforce nmt reset-comm 5`"
     ]
     assert read(7, 8) == []  # known
-    watch.add(frame_array([(0, 0x705, b"\x00")]))
+    find_duplicates(watch, frame_array([(0, 0x705, b"\x00")]))
     assert watch.found == {}
     assert read(9) == []
 

@@ -20,7 +20,8 @@ from canopen_device.core import codes, communication
 from canopen_device.core.node import Device
 from host.hand.simulated_hand import SimulatedHand, simulated_hand
 from tipforce.dictionary import indices, objects, table
-from tipforce.dictionary.entries import Entry, entries
+from tipforce.dictionary.entries import Entry
+from tipforce.dictionary.names import entries
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.hand.meaning import watched
 from tipforce.sources.simulated import SimulatedSource

@@ -13,14 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tipforce.errors import InputError
-from tipforce.sensor.contact import scalar
-from tipforce.sensor.contact.estimate import (
-    check_limits,
-    contacts,
-    force_from_strain,
-    force_vector,
-    standard_uncertainties,
-)
+from tipforce.sensor.contact import scalar, scalar_uncertainty
+from tipforce.sensor.contact.estimate import contacts, force_from_strain, force_vector, standard_uncertainties
+from tipforce.sensor.contact.validity import check_limits
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 
@@ -238,7 +233,7 @@ def test_what_is_clearly_resolved_is_resolved(
     cov: Covariance = tuple(matrix[np.triu_indices(3)].tolist())
     F1, F2, F3 = P * math.sin(phi), P * sine, P * math.cos(phi)
     found, *_ = scalar.contact(F1, F2, F3, pull)
-    _, _, u_theta = scalar.uncertainty(F1, F2, F3, cov, pull)
+    _, _, u_theta = scalar_uncertainty.uncertainty(F1, F2, F3, cov, pull)
     if scalar.clearly_resolved(found, F2, cov):
         assert math.degrees(u_theta) < scalar.THETA_RESOLVED_DEG
 

@@ -10,9 +10,9 @@ import pytest
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.contact.estimate import force_vector, standard_uncertainties
-from tipforce.sensor.structure import strain
+from tipforce.sensor.structure import quality, strain
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
-from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, mirror
+from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS
 from tipforce.sensor.structure.plane_frame import worst_stress
 from tipforce.sensor.structure.published import HALF_DIGIT, MEASURED_MATRICES, TABLE_2
 from tipforce_lab.design import tables
@@ -28,7 +28,7 @@ NOISE = 0.5
 @pytest.mark.parametrize("geometry", [FABRICATED, ODD])
 def test_table_1_formulas_give_its_numbers(geometry: Geometry) -> None:
     values = dict(zip(("a", "d", "r", "h1", "h2"), astuple(geometry)[:5], strict=True))
-    for point, coefficients in strain.stress_coefficients(geometry).items():
+    for point, coefficients in quality.stress_coefficients(geometry).items():
         found = [eval(symbol.replace("^", "**"), {"__builtins__": {}}, values) for symbol in tables.SYMBOLS[point]]
         assert found == pytest.approx(coefficients, rel=1e-14), point
 
@@ -62,7 +62,7 @@ def test_table_2_thin_limit() -> None:
 def test_printed_places_of_table_2() -> None:
     """What the thin limit really reads where the paper puts the maxima: R nothing, T and U half."""
     there = {}
-    for point, (g1, g2, g3) in zip(POINTS, strain.thin_limit_matrix(POINTS).tolist(), strict=True):
+    for point, (g1, g2, g3) in zip(POINTS, quality.thin_limit_matrix(POINTS).tolist(), strict=True):
         printed = TABLE_2[point]
         there[point] = (
             tables.THIN_UNIT * abs(tables.reading((g1, g2, g3), printed.theta_deg, printed.phi_deg)) / printed.maximum
@@ -81,7 +81,7 @@ def test_ranking() -> None:
         frozenset("LT") | {"S_H"},
         frozenset("RU") | {"K_H"},
     }
-    assert all(row["mirror"] == mirror(row["gauges"]) for row in rows)
+    assert all(row["mirror"] == quality.mirror(row["gauges"]) for row in rows)
     for by, order in (("noise_gain_N_per_ue", ["I", "II", "III"]), ("row_equilibrated", ["III", "II", "I"])):
         assert [row["case"] for row in tables.ranked_layouts(FABRICATED, by) if row["case"]] == order
     assert [row["case"] for row in tables.ties(tables.ranked_layouts(FABRICATED, "thin"), "thin")[0]] == ["II", ""]
@@ -108,7 +108,7 @@ def test_no_common_gauge_shift_gives_the_measured_condition_numbers() -> None:
     assert miss > 0.05
     shifts = {case: [shifts_m[point] for point in LAYOUTS[case]] for case in CASES}
     misses = [
-        abs(np.linalg.cond(strain.shifted_matrix(FABRICATED, case, shifts[case])) - measured[case]) for case in CASES
+        abs(np.linalg.cond(quality.shifted_matrix(FABRICATED, case, shifts[case])) - measured[case]) for case in CASES
     ]
     assert max(misses) == pytest.approx(miss, rel=1e-9)
     exact = {case: tables.table_3(FABRICATED, case).actual for case in CASES}
@@ -166,9 +166,9 @@ def test_uncertainties_are_those_of_the_contact(case: str, load_newtons: float) 
     assert [got.u_P_newtons, got.u_phi_deg, got.u_theta_deg] == pytest.approx(
         [rms[0], math.degrees(rms[1]), math.degrees(rms[2])], rel=1e-4
     )
-    assert got.noise_gain_newtons == pytest.approx(1e-6 * strain.noise_gain(C))
+    assert got.noise_gain_newtons == pytest.approx(1e-6 * quality.noise_gain(C))
     assert got.smallest_singular_value == pytest.approx(1e6 / np.linalg.norm(C, 2))
-    assert got.condition_number == pytest.approx(strain.condition_number(A))
+    assert got.condition_number == pytest.approx(quality.condition_number(A))
 
 
 def test_worst_stress_and_strain_over_all_angles() -> None:

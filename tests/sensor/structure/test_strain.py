@@ -11,9 +11,9 @@ import pytest
 
 from tipforce.errors import InputError
 from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.structure import strain
+from tipforce.sensor.structure import quality, strain
 from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
-from tipforce.sensor.structure.layouts import LAYOUTS, POINTS, layout, layout_code, mirror
+from tipforce.sensor.structure.layouts import LAYOUTS, POINTS, layout, layout_code
 from tipforce_lab.design.sections import condition_against_shift, most_influential, shift_to_reach, slopes_per_mm
 
 ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
@@ -52,7 +52,7 @@ def test_table_1_is_equations_2_to_15(geometry: Geometry) -> None:
         P, phi, theta = rng.uniform(0.1, 10), rng.uniform(-pi, pi), rng.uniform(0, pi)
         expected = stresses_by_equations(geometry, P, phi, theta)
         F = force_vector(P, phi, theta)
-        for point, coefficients in strain.stress_coefficients(geometry).items():
+        for point, coefficients in quality.stress_coefficients(geometry).items():
             scale = P * max(abs(g) for g in coefficients)
             assert float(np.dot(coefficients, F)) == pytest.approx(expected[point], abs=1e-12 * scale), point
 
@@ -60,13 +60,13 @@ def test_table_1_is_equations_2_to_15(geometry: Geometry) -> None:
 def test_thin_limit_is_the_scaled_strain_matrix() -> None:
     G = FABRICATED.thin(1e-9)
     unit = 1.5 * G.a_m / (G.h1_m**2 * G.width_m * G.youngs_modulus_pascals)
-    np.testing.assert_allclose(strain.strain_matrix(G, POINTS) / unit, strain.thin_limit_matrix(POINTS), atol=1e-6)
+    np.testing.assert_allclose(strain.strain_matrix(G, POINTS) / unit, quality.thin_limit_matrix(POINTS), atol=1e-6)
 
 
 def test_mirror_keeps_condition_number_and_sign() -> None:
     flip = np.diag([1.0, -1.0, -1.0])
     for triple in [*LAYOUTS.values(), *itertools.combinations(POINTS, 3)]:
-        A, B = strain.strain_matrix(FABRICATED, triple), strain.strain_matrix(FABRICATED, mirror(triple))
+        A, B = strain.strain_matrix(FABRICATED, triple), strain.strain_matrix(FABRICATED, quality.mirror(triple))
         np.testing.assert_allclose(B, A @ flip, rtol=1e-14)
 
 
@@ -80,7 +80,7 @@ def test_calibration_matrix_inverts_for_any_number_of_gauges() -> None:
 
 def test_thin_beam_ratio_equalises_the_stresses() -> None:
     assert pytest.approx(1.633, abs=5e-4) == THIN_BEAM_RATIO
-    thin = strain.thin_limit_matrix(("K_H", "S_H", "T", "U"))
+    thin = quality.thin_limit_matrix(("K_H", "S_H", "T", "U"))
     phi, theta = np.meshgrid(np.radians(np.arange(-180, 181)), np.radians(np.arange(0, 181)))
     largest = np.abs(thin @ force_vector(1.0, phi, theta).reshape(-1, 3).T).max(axis=1)
     assert largest == pytest.approx([3.0] * 4, rel=1e-3)
@@ -99,8 +99,8 @@ def test_geometry_is_frozen_and_has_a_thin_limit() -> None:
 def test_named_layouts_and_their_mirrors() -> None:
     for name in ("I", "II", "III"):
         assert layout(name) == LAYOUTS[name]
-        assert mirror(name) == layout(name + "'")
-        assert mirror(mirror(name)) == layout(name)
+        assert quality.mirror(name) == layout(name + "'")
+        assert quality.mirror(quality.mirror(name)) == layout(name)
 
 
 @pytest.mark.parametrize(
@@ -112,16 +112,16 @@ def test_layout_codes(gauges: str | list[str], code: int) -> None:
 
 
 def test_shifts_are_inward() -> None:
-    left = strain.shifted(ODD, "L", 1e-3)
+    left = quality.shifted(ODD, "L", 1e-3)
     assert left == strain.GaugePosition("H", "left", left.position_m)
     assert left.position_m == pytest.approx(0.010)
-    assert strain.shifted(ODD, "S_V", 1e-3) == strain.GaugePosition("V", "right", 1e-3)
-    assert strain.shifted(ODD, strain.GaugePosition("V", "right", 0.016), 1e-3).position_m == pytest.approx(0.015)
-    rows = strain.shifted_matrix(ODD, "III", [1e-3, 2e-3, 3e-3])
+    assert quality.shifted(ODD, "S_V", 1e-3) == strain.GaugePosition("V", "right", 1e-3)
+    assert quality.shifted(ODD, strain.GaugePosition("V", "right", 0.016), 1e-3).position_m == pytest.approx(0.015)
+    rows = quality.shifted_matrix(ODD, "III", [1e-3, 2e-3, 3e-3])
     np.testing.assert_allclose(rows[2], strain.strain_row(ODD, "V", "right", 0.014))
-    assert strain.shifted_matrix(ODD, "III", np.zeros((4, 5, 3))).shape == (4, 5, 3, 3)
+    assert quality.shifted_matrix(ODD, "III", np.zeros((4, 5, 3))).shape == (4, 5, 3, 3)
     np.testing.assert_allclose(
-        strain.shifted_matrix(ODD, "III", 0.0), strain.strain_matrix(ODD, "III"), rtol=1e-14, atol=1e-14
+        quality.shifted_matrix(ODD, "III", 0.0), strain.strain_matrix(ODD, "III"), rtol=1e-14, atol=1e-14
     )
 
 
@@ -140,7 +140,7 @@ def test_shifts_are_inward() -> None:
         (partial(strain.strain_row, FABRICATED, "H", "top", 0.0), "are H or V, left or right"),  # type: ignore[arg-type]
         (partial(strain.strain_row, FABRICATED, "H", "left", 0.0, "inner"), "lower or upper"),  # type: ignore[arg-type]
         (partial(strain.nominal_position, FABRICATED, "X"), "gauge point 'X'"),
-        (partial(strain.shifted_matrix, FABRICATED, "I", [0.0, 0.0]), "allowed is (..., 3)"),
+        (partial(quality.shifted_matrix, FABRICATED, "I", [0.0, 0.0]), "allowed is (..., 3)"),
         (partial(shift_to_reach, FABRICATED, "I", 3.0, ("R",)), "not in the layout"),
     ],
 )
@@ -153,8 +153,8 @@ def test_refuses(call: Callable[[], object], message: str) -> None:
 def test_figure_6_slopes_are_derivatives() -> None:
     for case in ("I", "II", "III"):
         for index, expected in enumerate(slopes_per_mm(FABRICATED, case)):
-            ahead = strain.condition_number(strain.shifted_matrix(FABRICATED, case, np.eye(3)[index] * 1e-6))
-            slope = (ahead - strain.condition_number(strain.strain_matrix(FABRICATED, case))) / 1e-3
+            ahead = quality.condition_number(quality.shifted_matrix(FABRICATED, case, np.eye(3)[index] * 1e-6))
+            slope = (ahead - quality.condition_number(strain.strain_matrix(FABRICATED, case))) / 1e-3
             assert expected == pytest.approx(slope, rel=2e-3)
 
 
@@ -169,13 +169,13 @@ def test_sg3_matters_most_in_case_i_near_its_points_only() -> None:
 def test_all_row_shifts_every_gauge() -> None:
     found = condition_against_shift(FABRICATED, "II", [0.0, 1e-3])
     assert found.shape == (4, 2)
-    assert found[3, 1] == pytest.approx(strain.condition_number(strain.shifted_matrix(FABRICATED, "II", 1e-3)))
-    np.testing.assert_allclose(found[:, 0], strain.condition_number(strain.strain_matrix(FABRICATED, "II")))
+    assert found[3, 1] == pytest.approx(quality.condition_number(quality.shifted_matrix(FABRICATED, "II", 1e-3)))
+    np.testing.assert_allclose(found[:, 0], quality.condition_number(strain.strain_matrix(FABRICATED, "II")))
 
 
 def test_one_shift_of_the_outer_gauges_explains_the_finite_elements() -> None:
     assert shift_to_reach(FABRICATED, "I", 2.53, LAYOUTS["I"]) == pytest.approx(0.39e-3, abs=5e-6)
     second = shift_to_reach(FABRICATED, "II", 3.36, ("L",), 0.5e-3)
-    reached = strain.condition_number(strain.shifted_matrix(FABRICATED, "II", [second, 0.5e-3, 0.5e-3]))
+    reached = quality.condition_number(quality.shifted_matrix(FABRICATED, "II", [second, 0.5e-3, 0.5e-3]))
     assert reached == pytest.approx(3.36, abs=1e-5)
     assert isnan(shift_to_reach(FABRICATED, "II", 3.36, ("S_H",)))

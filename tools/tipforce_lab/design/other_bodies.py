@@ -9,7 +9,7 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.sensor.dynamics.model import half_cylinder, modes
-from tipforce.sensor.structure import strain
+from tipforce.sensor.structure import quality, strain
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import CASES, Layout
 from tipforce.sensor.structure.plane_frame import PAPER_SLIT_M, slit_closure, worst_stress
@@ -75,7 +75,7 @@ MATERIALS = (
 def figures_of(geometry: Geometry, material: Material, gauges: Layout) -> Record:
     """Return the figures of a body of a material, keys of _FIGURES_COLUMNS. Raises InputError for the layout."""
     body = replace(geometry, youngs_modulus_pascals=material.youngs_modulus_pascals)
-    stress, noise = worst_stress(body, 1.0), strain.noise_gain(strain.calibration_matrix(body, gauges))
+    stress, noise = worst_stress(body, 1.0), quality.noise_gain(strain.calibration_matrix(body, gauges))
     moving = modes(body, 0.0, half_cylinder(body, material.density_kg_m3))
     yield_newtons, slit_newtons = material.yield_pascals / stress, PAPER_SLIT_M / slit_closure(body, 1.0)
     largest = min(yield_newtons, slit_newtons)
@@ -98,9 +98,9 @@ def scaled(geometry: Geometry, scale: float, gauges: Layout, keep_thickness: boo
     return {
         "beams": "kept" if keep_thickness else "scaled", "r_mm": body.r_m * MM,
         "h_mm": [body.h1_m * MM, body.h2_m * MM], "slenderness": body.a_m / body.h1_m,
-        **figures_of(body, STEEL_4340, gauges), "condition": strain.condition_number(matrix),
-        "condition_of_gauges": strain.condition_number(strain.shifted_matrix(body, gauges, half)),
-        "condition_of_shift": strain.condition_number(strain.shifted_matrix(body, gauges, off)),
+        **figures_of(body, STEEL_4340, gauges), "condition": quality.condition_number(matrix),
+        "condition_of_gauges": quality.condition_number(quality.shifted_matrix(body, gauges, half)),
+        "condition_of_shift": quality.condition_number(quality.shifted_matrix(body, gauges, off)),
     }  # fmt: skip
 
 

@@ -16,7 +16,8 @@ from tipforce.sensor.structure import published
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, Layout, layout
 from tipforce.sensor.structure.off_axis import apparent_force, off_axis_wrenches, off_centre_wrenches
 from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS, GAUGE_LENGTH_M
-from tipforce.sensor.structure.strain import calibration_matrix, shifted_matrix, strain_matrix, thin_limit_matrix
+from tipforce.sensor.structure.quality import shifted_matrix, thin_limit_matrix
+from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce_lab.design import tables
 from tipforce_lab.design.tables import MICRO, MM, Record, Section
 

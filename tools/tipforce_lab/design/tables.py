@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.sensor import Geometry, force_vector
-from tipforce.sensor.structure import strain
-from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, VERTICAL_POINTS, Layout, mirror
+from tipforce.sensor.structure import quality, strain
+from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, VERTICAL_POINTS, Layout
 from tipforce.sensor.structure.published import HALF_DIGIT, MEASURED_MATRICES
 
 Record = dict[str, Any]
@@ -94,7 +94,7 @@ class Table3Row(NamedTuple):
 def table_1(geometry: Geometry) -> list[Table1Row]:
     """Return Table 1 for all eight gauge points. Raises InputError for beams too thin for floating point."""
     strains = strain.strain_matrix(geometry, POINTS).tolist()
-    stresses = strain.stress_coefficients(geometry)
+    stresses = quality.stress_coefficients(geometry)
     return [
         Table1Row(point, SYMBOLS[point], stresses[point], (row[0], row[1], row[2]))
         for point, row in zip(POINTS, strains, strict=True)
@@ -125,7 +125,7 @@ def table_2(geometry: Geometry) -> list[Table2Row]:
     """Return the largest stress at every gauge point, thin limit and actual. Raises InputError as table_1()."""
     unit = geometry.h1_m**2 / geometry.a_m
     rows = []
-    for point, thin, row in zip(POINTS, strain.thin_limit_matrix(POINTS).tolist(), table_1(geometry), strict=True):
+    for point, thin, row in zip(POINTS, quality.thin_limit_matrix(POINTS).tolist(), table_1(geometry), strict=True):
         sign = -unit if point in VERTICAL_POINTS else unit
         g1, g2, g3 = row.per_metre
         rows.append(Table2Row(
@@ -140,9 +140,9 @@ def table_3(geometry: Geometry, gauges: Layout) -> Table3Row:
     """Return the theory of one layout. Raises InputError for an unusable layout or one of rank below 3."""
     matrix = strain.strain_matrix(geometry, gauges)
     return Table3Row(
-        strain.condition_number(strain.thin_limit_matrix(gauges)), strain.condition_number(matrix),
-        strain.row_equilibrated_condition_number(matrix),
-        strain.noise_gain(strain.calibration_matrix(geometry, gauges)),
+        quality.condition_number(quality.thin_limit_matrix(gauges)), quality.condition_number(matrix),
+        quality.row_equilibrated_condition_number(matrix),
+        quality.noise_gain(strain.calibration_matrix(geometry, gauges)),
     )  # fmt: skip
 
 
@@ -158,7 +158,7 @@ def moment_units(geometry: Geometry) -> dict[str, float]:
 
 def condition_at_length(geometry: Geometry, gauges: Layout, length_m: float) -> float:
     """Return the condition number with F2 as the force M / length."""
-    return strain.condition_number(
+    return quality.condition_number(
         strain.strain_matrix(geometry, gauges) * np.array([1.0, length_m / geometry.r_m, 1.0])
     )
 
@@ -168,9 +168,9 @@ def figures(matrix: FloatArray) -> Record:
     if int(np.linalg.matrix_rank(matrix)) < 3:
         return dict.fromkeys(("condition", "row_equilibrated", "noise_gain_N_per_ue"), inf)
     return {
-        "condition": strain.condition_number(matrix),
-        "row_equilibrated": strain.row_equilibrated_condition_number(matrix),
-        "noise_gain_N_per_ue": strain.noise_gain(np.linalg.pinv(matrix)) / MICRO,
+        "condition": quality.condition_number(matrix),
+        "row_equilibrated": quality.row_equilibrated_condition_number(matrix),
+        "noise_gain_N_per_ue": quality.noise_gain(np.linalg.pinv(matrix)) / MICRO,
     }
 
 
@@ -181,14 +181,15 @@ def ranked_layouts(geometry: Geometry, by: str = "condition") -> list[Record]:
     rows: list[Record] = []
     seen: set[frozenset[str]] = set()
     for chosen in itertools.combinations(POINTS, 3):
-        if frozenset(mirror(chosen)) in seen:
+        if frozenset(quality.mirror(chosen)) in seen:
             continue
         seen.add(frozenset(chosen))
         case = names.get(frozenset(chosen), "")
         points = LAYOUTS[case] if case else chosen
-        thin = strain.condition_number(strain.thin_limit_matrix(points))
+        thin = quality.condition_number(quality.thin_limit_matrix(points))
         rows.append({
-            "case": case, "gauges": points, "mirror": mirror(points), **figures(strain.strain_matrix(geometry, points)),
+            "case": case, "gauges": points, "mirror": quality.mirror(points),
+            **figures(strain.strain_matrix(geometry, points)),
             "thin": thin if thin < 1e12 else inf,  # singular: rounding makes it barely regular
         })  # fmt: skip
     return sorted(rows, key=lambda row: (round(row[by], 9), row["condition"]))
@@ -217,7 +218,7 @@ def rounding_range(matrix: npt.ArrayLike) -> RoundingRange:
     centre = np.asarray(matrix, dtype=np.float64)
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=centre.size))).reshape(-1, *centre.shape)
     conditions = np.linalg.cond(centre + HALF_DIGIT * signs)
-    return RoundingRange(strain.condition_number(centre), float(conditions.min()), float(conditions.max()))
+    return RoundingRange(quality.condition_number(centre), float(conditions.min()), float(conditions.max()))
 
 
 def shared_gauge_disagreement() -> dict[str, float]:
@@ -236,7 +237,7 @@ def nearest_common_shifts(
     """Return (metres inward of K, S, L, R, U, 0 to 6 mm, that best fit the condition numbers; the largest miss)."""
     grid = np.linspace(0.0, 6e-3, steps)
     points = ("K_H", "S_H", "L", "R", "U")
-    rows = strain.shifted_matrix(geometry, points, np.repeat(grid[:, np.newaxis], len(points), axis=1))
+    rows = quality.shifted_matrix(geometry, points, np.repeat(grid[:, np.newaxis], len(points), axis=1))
     chosen, miss = nearest_common({point: rows[:, k] for k, point in enumerate(points)}, conditions)
     return {point: float(grid[at]) for point, at in chosen.items()}, miss
 

@@ -1,4 +1,4 @@
-"""Shared by the commands: standard streams, common flags, also of logs, numbers and node-ids, printing of records."""
+"""Shared by the commands: standard streams, common flags, numbers and node-ids, printing of records."""
 
 from __future__ import annotations
 
@@ -10,21 +10,15 @@ import re
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from itertools import repeat
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any
 
-from canopen_device.visible_text import visible_lines
 from tipforce.errors import InputError
-from tipforce_tools.cli.output import terminal, visible_streams
+from tipforce_tools.cli import output
 
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.table import Table
-
+OUTPUT = output.OUTPUT
 _LINE_S = 10.0
 
 
@@ -35,32 +29,6 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("-q", "--quiet", action="store_true", help="print only errors on stderr")
     group.add_argument("-v", "--verbose", action="store_true", help="print more on stderr")
     group.add_argument("--color", choices=("auto", "always", "never"), default="auto", help="auto follows NO_COLOR")
-
-
-class Output:
-    """How a command prints: the values of its output flags. One for the process, as its streams are."""
-
-    json = quiet = verbose = False
-    color: Literal["auto", "always", "never"] = "auto"
-
-    def set_up(self, args: argparse.Namespace) -> None:
-        """Follow the flags; a command without them prints as by default, and sets up no logging. Warnings of tipforce
-        are logged to stderr: all messages with -v, only errors with -q; of libraries only with -v."""
-        for name in ("json", "quiet", "verbose", "color"):
-            setattr(self, name, getattr(args, name, getattr(Output, name)))
-        if not hasattr(args, "verbose"):
-            return
-        import logging
-
-        level = logging.ERROR if self.quiet else logging.DEBUG if self.verbose else logging.WARNING
-        logging.basicConfig(stream=sys.stderr, level=level, format="%(levelname)s %(name)s: %(message)s")
-        if not self.verbose:
-            # canopen logs each abort as an error and also raises it; python-can warns of errors that open_bus reports.
-            logging.getLogger("canopen").setLevel(logging.CRITICAL)
-            logging.getLogger("can").setLevel(logging.CRITICAL)
-
-
-OUTPUT = Output()
 
 
 def number(text: str, read: Callable[[str], Any] = float) -> Any:
@@ -90,11 +58,11 @@ def number_within(low: float, high: float, allowed: str, *, over: bool = False) 
     return number_that(lambda value: low < value <= high or (value == low and not over), allowed)
 
 
-_any_base = partial(int, base=0)
+any_base = partial(int, base=0)
 count = number_that(lambda value: value >= 1, "are whole numbers from 1", int)
 whole_number = number_that(lambda value: value >= 0, "are whole numbers from 0", int)
-unsigned32 = number_that(lambda value: 0 <= value <= 0xFFFFFFFF, "are 0 to 0xFFFFFFFF", _any_base)
-node_id = number_that(lambda value: 1 <= value <= 127, "are 1 to 127 (10 or 0x0A)", _any_base, "node-id ")
+unsigned32 = number_that(lambda value: 0 <= value <= 0xFFFFFFFF, "are 0 to 0xFFFFFFFF", any_base)
+node_id = number_that(lambda value: 1 <= value <= 127, "are 1 to 127 (10 or 0x0A)", any_base, "node-id ")
 seconds = number_that(lambda value: 0 < value < math.inf, "are seconds, more than 0")
 speed = number_that(lambda value: value > 0, "are numbers over 0, and inf")
 timeout = number_within(0.0, threading.TIMEOUT_MAX, "is a time over 0 s", over=True)  # for which a thread can wait
@@ -132,15 +100,6 @@ class InputFile:
 LOG = InputFile("", "no such file", lambda text: not glob.has_magic(text) and "://" not in text)
 TARGET = InputFile("", "no such file", lambda text: "," not in text and re.search(r"\.(log|txt)$|/", text))
 """`vcan0,181:7FF`, or the name of a log."""
-
-
-def scene_or_file(text: str) -> Path:
-    """Return the file, or the shipped scene of that name. Raises InputError if there is neither."""
-    from tipforce.shipped_files import file_or_shipped
-
-    path = file_or_shipped(text, "scenes")
-    InputFile().check(str(path))
-    return path
 
 
 def node_ids(text: str) -> list[int]:
@@ -223,82 +182,19 @@ def progress(
         return
     from rich.progress import Progress
 
+    from tipforce_tools.cli.tables import console
+
     screen = console(stderr=True)
     # rich takes over the streams, and shows a control sequence as a colour: escape before that.
-    with Progress(transient=True, console=screen, refresh_per_second=refresh_hz) as bar, visible_streams():
+    with Progress(transient=True, console=screen, refresh_per_second=refresh_hz) as bar, output.visible_streams():
         task = bar.add_task(what, total=total)
         yield lambda steps=1: bar.update(task, **{"completed" if absolute else "advance": steps})
-
-
-def console(*, stderr: bool = False) -> Console:
-    """Return a rich console that follows --color and NO_COLOR; tables written to a pipe have a fixed width. It is on
-    the stream below VisibleStream: its colours pass, every text is escaped, and none is markup."""
-    from rich.console import Console, ConsoleOptions, RenderableType
-    from rich.segment import Segment
-    from rich.text import Text
-
-    class VisibleConsole(Console):
-        def on_broken_pipe(self) -> None:  # rich's own exits with code 1; `| head` is not a failure
-            raise BrokenPipeError
-
-        def render_str(self, text: str, **options: Any) -> Text:
-            return super().render_str(visible_lines(text), **options | {"markup": False, "emoji": False})
-
-        def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-            for segment in super().render(renderable, options):
-                yield segment if segment.control else Segment(visible_lines(segment.text), segment.style)
-
-    plain = OUTPUT.color == "never" or (OUTPUT.color == "auto" and bool(os.environ.get("NO_COLOR")))
-    stream = sys.stderr if stderr else sys.stdout
-    width = None if stream.isatty() else 120
-    always = True if OUTPUT.color == "always" else None
-    # Without a colour system rich prints no bold text either: the output is plain text.
-    system: Literal["auto"] | None = None if plain else "auto"
-    return VisibleConsole(
-        file=terminal(stream), force_terminal=always, color_system=system, no_color=plain, width=width
-    )
-
-
-def print_table(table: Table) -> None:
-    """Print a table on stdout. In a narrow terminal it has no borders; words wrap, and numbers do not: a wrapped one
-    would appear beside the label of another. A word longer than its column continues on the next line."""
-    screen = console()
-    unbounded = screen.options.update(width=1000)
-    if screen.measure(table, options=unbounded).maximum > screen.width:
-        table.box, table.padding, table.pad_edge = None, (0, 1, 0, 0), False
-        for column in table.columns:
-            column.overflow = "fold"
-            if column.justify == "right":
-                column.no_wrap, column.header = True, str(column.header).replace(" ", "\n")
-        # The terminal wraps a table that is still too wide.
-        screen.width = max(screen.width, screen.measure(table, options=unbounded).minimum)
-    screen.print(table)
-
-
-def print_rows(
-    title: str, headings: Iterable[str], rows: Iterable[Iterable[str]], styles: Iterable[str | None] | None = None, *,
-    lines: bool = False,
-) -> None:  # fmt: skip
-    """Print a table on stdout, with ``lines`` between rows; > in front of a heading puts its column at the right."""
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left", show_lines=lines)
-    for heading in headings:
-        table.add_column(heading.removeprefix(">"), justify="right" if heading.startswith(">") else "left")
-    for row, style in zip(rows, repeat(None) if styles is None else styles, strict=False):
-        table.add_row(*row, style=style)
-    print_table(table)
 
 
 def add_confirm_argument(parser: argparse.ArgumentParser) -> None:
     """`--yes`."""
     group = parser.add_argument_group("changes")
     group.add_argument("-y", "--yes", action="store_true", help="do not ask before persistent changes")
-
-
-def add_eds_argument(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
-    """Add the flag."""
-    parser.add_argument("--eds", action="append", metavar="ID=FILE", help="EDS, DCF or XDD of a node; repeatable")
 
 
 def add_page_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
@@ -311,38 +207,3 @@ def add_page_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGro
     group.add_argument("--token", metavar="TOKEN|auto", help="required to open the page; auto generates one")
     group.add_argument("--open", action="store_true", help="open the page in the browser")
     return group
-
-
-def add_choice_arguments(parser: argparse.ArgumentParser, signals: str) -> None:
-    """Add the flags that choose rows and columns of logs, and the PDOs; ``signals`` is the help of --signals."""
-    group = parser.add_argument_group("choice")
-    group.add_argument("--signals", metavar="NAMES", help=signals)
-    group.add_argument("--nodes", type=node_ids, metavar="IDS", help="as 1,2,5-9")
-    group.add_argument("--bus", metavar="NAMES", help="only of these interfaces: can0,can1")
-    group.add_argument("--from", dest="start", metavar="TIME", help="seconds from the start or of the epoch, ISO time")
-    group.add_argument("--to", dest="end", metavar="TIME", help="end, exclusive; same formats")
-    calibration = "compute contact from the gauges; repeatable"
-    group.add_argument("--calibration", action="append", metavar="[ID=]CAL.toml", help=calibration)
-    group.add_argument("--gauges", type=int, choices=range(3, 9), metavar="N", help="3 (default) to 8")
-    group.add_argument("--dcf", action="append", metavar="FILE", help="configuration of a node; repeatable")
-    group.add_argument("--dbc", metavar="FILE", help="a DBC instead; tipforce: the shipped one")
-    add_eds_argument(group)
-
-
-def eds_files(given: Sequence[str]) -> tuple[tuple[int, str], ...]:
-    """Return (node-id, file) of each flag, after reading the files once: their warnings go to stderr. Raises InputError
-    for another form, a repeated node-id, and a file that is no EDS."""
-    from canopen_device.eds.reader import read_eds
-
-    files: dict[int, str] = {}
-    for text in given:
-        head, _, path = text.partition("=")
-        node = number(head, _any_base)
-        if not (path and 1 <= node <= 127):
-            raise InputError(f"--eds {text}: the form is ID=FILE, such as 5=drive.eds")
-        if node in files:
-            raise InputError(f"--eds {text}: node {node} has a file already")
-        for warning in read_eds(path, node).warnings:
-            print(f"warning: {warning}", file=sys.stderr)
-        files[node] = path
-    return tuple(files.items())

@@ -1,4 +1,4 @@
-"""What the flags of ``common.add_choice_arguments`` choose: logs, times, signals, layouts, calibrations."""
+"""What the flags of ``log_flags.add_choice_arguments`` choose: logs, times, signals, layouts, calibrations."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tipforce.host.decoding.log_part import Reading, When
 from tipforce.host.decoding.pdo_layout import Layouts, dcf_layout, node_layout, signals_named, with_layouts
 from tipforce.shipped_files import file_or_shipped
 from tipforce_tools.cli import bus_flags
-from tipforce_tools.cli.common import eds_files
+from tipforce_tools.cli.log_flags import eds_files
 
 if TYPE_CHECKING:
     from tipforce.host.configuration.calibration import Calibration

@@ -1,12 +1,13 @@
-"""The standard streams of every command: each text passes here, and what could control a terminal is escaped.
+"""How a command prints, and its standard streams: each text passes here, what could control a terminal is escaped.
 
 Data in bytes (CSV, Parquet) goes to ``sys.stdout.buffer`` as it is. The colours of tables go to the stream below.
 """
 
+import argparse
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any, TextIO, cast
+from typing import Any, Literal, TextIO, cast
 
 from canopen_device.visible_text import visible_lines
 
@@ -47,3 +48,29 @@ def terminal(stream: TextIO) -> TextIO:
     while isinstance(stream, VisibleStream):
         stream = stream.below
     return stream
+
+
+class Output:
+    """How a command prints: the values of its output flags. One for the process, as its streams are."""
+
+    json = quiet = verbose = False
+    color: Literal["auto", "always", "never"] = "auto"
+
+    def set_up(self, args: argparse.Namespace) -> None:
+        """Follow the flags; a command without them prints as by default, and sets up no logging. Warnings of tipforce
+        are logged to stderr: all messages with -v, only errors with -q; of libraries only with -v."""
+        for name in ("json", "quiet", "verbose", "color"):
+            setattr(self, name, getattr(args, name, getattr(Output, name)))
+        if not hasattr(args, "verbose"):
+            return
+        import logging
+
+        level = logging.ERROR if self.quiet else logging.DEBUG if self.verbose else logging.WARNING
+        logging.basicConfig(stream=sys.stderr, level=level, format="%(levelname)s %(name)s: %(message)s")
+        if not self.verbose:
+            # canopen logs each abort as an error and also raises it; python-can warns of errors that open_bus reports.
+            logging.getLogger("canopen").setLevel(logging.CRITICAL)
+            logging.getLogger("can").setLevel(logging.CRITICAL)
+
+
+OUTPUT = Output()

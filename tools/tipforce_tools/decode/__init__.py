@@ -3,7 +3,7 @@
 import argparse
 import gc
 
-from tipforce_tools.cli import common
+from tipforce_tools.cli import common, log_flags
 from tipforce_tools.cli.bus_flags import add_bus_name_arguments
 
 DESCRIPTION = """\
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--resample", type=float, metavar="HZ", help="means on a uniform grid, of angles by direction")
     parser.add_argument("-j", "--jobs", type=common.count, metavar="N", help="processes (above 1 GB all cores)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="decode on a Dask cluster that can read the files")
-    common.add_choice_arguments(parser, "compute only these: P,theta or P_N,theta_deg")
+    log_flags.add_choice_arguments(parser, "compute only these: P,theta or P_N,theta_deg")
     parser.add_argument("--ask", type=common.node_ids, metavar="IDS", help="read their layouts by SDO, with -i -c")
     add_bus_name_arguments(parser)
     common.add_output_arguments(parser)

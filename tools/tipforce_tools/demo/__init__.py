@@ -62,6 +62,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print_table(case: str, results: list[Result]) -> None:
+    from tipforce_tools.cli.tables import print_rows
+
     headings = [f">{word}" for name in ("P N", "phi deg", "theta deg") for word in (name, "est", "err", "u")]
     good = [result.inside and result.host_agrees for result in results]
     rows = []
@@ -72,7 +74,7 @@ def _print_table(case: str, results: list[Result]) -> None:
             cells += [f"{result.applied[k]:g}", f"{result.estimated[k]:.{digits}f}", error, f"{result.u[k]:.{digits}f}"]
         rows.append([*cells, "ok" if ok else "OUT"])
     title = f"Case {case}: applied, estimated by the node, error, standard uncertainty"
-    common.print_rows(title, [">sense", *headings, ">"], rows, [None if ok else "bold red" for ok in good])
+    print_rows(title, [">sense", *headings, ">"], rows, [None if ok else "bold red" for ok in good])
 
 
 def _summary(args: argparse.Namespace, results: list[Result], elapsed_s: float) -> int:

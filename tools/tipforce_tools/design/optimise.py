@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import common, tables
 
 if TYPE_CHECKING:
     from tipforce_lab.design.merit import Assessment, Limits, Merit
@@ -122,12 +122,12 @@ def _print_tables(entries: list[Assessment], noise_microstrain: float, load_newt
     doubts = [None if entry.agrees else "yellow" for entry in entries]
     u = ("", ">u(P) mN", ">u(phi) deg", ">u(theta) deg")
     title = "Structures, mm; gauges: beam, side, middle of the gauge from the joint"
-    common.print_rows(title, ("", *(f">{symbol}" for symbol in _LENGTHS), "SG1, SG2, ..."), structures)
+    tables.print_rows(title, ("", *(f">{symbol}" for symbol in _LENGTHS), "SG1, SG2, ..."), structures)
     at = f"at {noise_microstrain:g} microstrain and {load_newtons:g} N"
     title = f"Standard uncertainties {at}, and limits of the body"
-    common.print_rows(title, (*u, ">mN per ue", ">least ue/N", ">cond", ">MPa", ">slit shuts N"), figures, doubts)
+    tables.print_rows(title, (*u, ">mN per ue", ">least ue/N", ">cond", ">MPa", ">slit shuts N"), figures, doubts)
     title = "The same by the frame: shear and elastic roots; then with the joint a block h2 wide as well"
-    common.print_rows(title, (*u, ">cond", ">differs %", ">block: u(theta)", ">cond"), frames, doubts)
+    tables.print_rows(title, (*u, ">cond", ">differs %", ">block: u(theta)", ">cond"), frames, doubts)
 
 
 def _figures(merit: Merit) -> tuple[str, str, str]:

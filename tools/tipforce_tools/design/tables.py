@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import InputError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import common, tables
 
 if TYPE_CHECKING:
     from tipforce.sensor.structure.geometry import Geometry
@@ -104,7 +104,8 @@ def sweep_section(args: argparse.Namespace, geometry: Geometry, gauges: Sequence
     """Return one record per value. Raises InputError for an unknown name or an impossible range."""
     import numpy as np
 
-    from tipforce.sensor.structure.strain import position_matrix, shifted
+    from tipforce.sensor.structure.quality import shifted
+    from tipforce.sensor.structure.strain import position_matrix
     from tipforce_lab.design.tables import Section, figures, maximum_over_contacts
 
     names = [f"SG{index + 1}" for index in range(len(gauges))]
@@ -156,8 +157,8 @@ def _print(section: Section) -> None:
         table.add_column(heading, justify="right" if numeric else "left", overflow="fold")
     for record in section.records:
         table.add_row(*(_shown(_cell(record, key)) for key in section.columns))
-    common.print_table(table)
-    console = common.console()
+    tables.print_table(table)
+    console = tables.console()
     for note in section.notes:
         console.print(Padding(Text(note), (0, 0, 1, 2)), highlight=False)
 

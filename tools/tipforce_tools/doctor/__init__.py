@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import EnvironmentLackError
-from tipforce_tools.cli import bus_flags, common
+from tipforce_tools.cli import bus_flags, common, tables
 
 if TYPE_CHECKING:
     from tipforce.watching.findings import Finding
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print the findings; return 1 if something is wrong."""
     failed = False
-    out = None if common.OUTPUT.json else common.console()
+    out = None if common.OUTPUT.json else tables.console()
     for check in _findings(args):
         failed |= check.state == "fail"
         if out is None:

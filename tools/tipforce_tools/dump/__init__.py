@@ -3,7 +3,7 @@ objects, heartbeats, LSS, and the values in the PDOs of fingertips. Text: a log 
 
 import argparse
 
-from tipforce_tools.cli import bus_flags, common
+from tipforce_tools.cli import bus_flags, common, log_flags
 from tipforce_tools.cli.listening import add_sync_argument
 
 
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     look.add_argument("-T", dest="timeout_ms", type=common.count, metavar="MS", help="end after MS without a frame")
     parser.add_argument("--decode", action="store_true", help="add the meaning of each frame")
     parser.add_argument("--gauges", type=int, choices=range(3, 9), default=3, metavar="N", help="3 (default) to 8")
-    common.add_eds_argument(parser)
+    log_flags.add_eds_argument(parser)
     add_sync_argument(parser)
     parser.add_argument("--strict", action="store_true", help="text: exit with 1 at the first bad line")
     bus_flags.add_bus_arguments(parser)

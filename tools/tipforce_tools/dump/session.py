@@ -19,6 +19,7 @@ from tipforce.host.decoding.decoder import Decoder, Key, Samples
 from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.decoding.pdo_layout import EdsFiles, Layouts
 from tipforce.host.decoding.sdo_conversation import eds_names, fingertip_names
+from tipforce.host.decoding.service_frames import find_duplicates
 from tipforce.host.decoding.services import Service, Services
 from tipforce.host.frames.frame_block import BIT_RATE_SWITCH, ERROR_STATE, CandumpBlock
 from tipforce.host.live.receiver import InterfaceDownError, Selection
@@ -27,7 +28,7 @@ from tipforce.host.logs.candump import BadLineError, CandumpParser, text_blocks
 from tipforce.host.logs.candump_format import CandumpFormat, identifier_text
 from tipforce.host.logs.lines import open_file
 from tipforce.host.logs.notes import DROPPED, TEXT, LogNotes, no_frame
-from tipforce_tools.cli import common
+from tipforce_tools.cli import common, log_flags
 from tipforce_tools.cli.listening import Hints, check_sync, counted, open_targets
 
 _COUNTER = "counter"
@@ -53,7 +54,7 @@ class Session:
     def __init__(self, args: Namespace, targets: tuple[Selection, ...], *, live: bool) -> None:
         self._args = args
         self._live = live
-        eds = common.eds_files(args.eds or ())
+        eds = log_flags.eds_files(args.eds or ())
         self.decoder = _decoder(args.gauges, eds) if args.decode or common.OUTPUT.verbose else None
         names = eds_names(eds, fingertip_names(args.gauges)) if eds else fingertip_names(args.gauges)
         self.services = Services(names) if args.decode else None
@@ -96,7 +97,7 @@ class Session:
             services = self.services.describe(block.frames, block.frames["channel"])
             for number in () if self._live else set(block.frames["channel"].tolist()):  # live the hints say it
                 watch = self._duplicates.setdefault(number, DuplicateNodes())
-                for duplicate in watch.add(block.frames[block.frames["channel"] == number]):
+                for duplicate in find_duplicates(watch, block.frames[block.frames["channel"] == number]):
                     common.note(f"tipforce dump: {duplicate}")
         text = self._text(block, decoded if self._args.decode else {}, services)
         if text:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from canopen_device import types
 from tipforce.dictionary import table, table_objects
-from tipforce.dictionary.entries import Entry, objects
+from tipforce.dictionary.entries import Entry
+from tipforce.dictionary.names import objects
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.actions import add_choice

@@ -6,7 +6,7 @@ STALE, and one that the node does not know is marked unknown, with the reason. W
 import argparse
 import math
 
-from tipforce_tools.cli import bus_flags, common
+from tipforce_tools.cli import bus_flags, common, log_flags
 from tipforce_tools.cli.listening import add_sync_argument
 
 _seconds = common.number_that(lambda time_s: 0.01 <= time_s < 1e6, "are 0.01 to 1000000 s")
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     common.add_number(parser, "--speed", math.inf, "X", "log: times recorded speed (inf)", common.speed)
     parser.add_argument("--follow", action="store_true", help="log: wait for more lines at the end")
     add_sync_argument(parser)
-    common.add_eds_argument(parser)
+    log_flags.add_eds_argument(parser)
     bus_flags.add_bus_arguments(parser)
 
 

@@ -18,10 +18,11 @@ from tipforce.host.live.targets import STDIN, split_targets
 from tipforce.host.logs.notes import no_frame, no_sample
 from tipforce.watching.bus_monitor import QUANTITIES, BusView, Monitor, NodeView, Reading
 from tipforce.watching.frame_sources import BusSource, FrameSource, LogSource, PipeSource
-from tipforce_tools.cli import common
+from tipforce_tools.cli import common, log_flags
 from tipforce_tools.cli.common import shown_id
 from tipforce_tools.cli.listening import Hints, StopSignals, check_sync, counted, open_targets
 from tipforce_tools.cli.main import INTERRUPTED
+from tipforce_tools.cli.tables import console as rich_console
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -40,7 +41,7 @@ def monitor(args: Namespace) -> int:
     """Show the nodes until the source ends, a signal, or --once; return 0, or 130 after a signal."""
     log_name, targets = split_targets(args.targets)
     check_sync(args, log_name)
-    watched = Monitor(args.gauges, args.nodes, common.eds_files(args.eds or ()))
+    watched = Monitor(args.gauges, args.nodes, log_flags.eds_files(args.eds or ()))
     screen = sys.stdout.isatty() and not common.OUTPUT.json and args.once is None
     interval_s = args.interval or (_SCREEN_S if screen else _LINE_S)
     with ExitStack() as opened:
@@ -52,7 +53,7 @@ def monitor(args: Namespace) -> int:
         if screen:
             from rich.live import Live
 
-            live = opened.enter_context(Live(console=common.console(), auto_refresh=False, transient=False))
+            live = opened.enter_context(Live(console=rich_console(), auto_refresh=False, transient=False))
         show = partial(_show, live, bitrate, interval_s, hints)
         each = show if screen or (common.OUTPUT.json and args.once is None) else None
         shown = run(watched, source, stop, interval_s, each, args.once or math.inf)

@@ -13,8 +13,8 @@ from canopen_device import types
 from canopen_device.core import codes, communication
 from canopen_device.types import Value
 from tipforce.dictionary import objects as od
-from tipforce.dictionary.entries import Entry, describe, entries, gauges_of
-from tipforce.dictionary.names import resolve
+from tipforce.dictionary.entries import Entry, gauges_of
+from tipforce.dictionary.names import describe, entries, resolve
 from tipforce.errors import InputError, NoResponseError, SdoAbortError, TipforceError
 from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.actions import add_choice

@@ -4,7 +4,7 @@ and faults. Several logs form one recording. Each finger has a column of panels.
 import argparse
 import re
 
-from tipforce_tools.cli import common
+from tipforce_tools.cli import common, log_flags
 
 _INCHES = {"": 1.0, "in": 1.0, "cm": 1 / 2.54, "mm": 1 / 25.4}
 
@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("logs", nargs="+", type=common.LOG, metavar="LOG", help="files and globs, or -")
     parser.add_argument("-o", "--output", metavar="FILE", help=".png, .svg or .pdf")
     parser.add_argument("--size", type=_size, metavar="WxH", help="16x10cm, 160x100mm, 7x4in")
-    common.add_choice_arguments(parser, "as P,theta,gauges,status")
+    log_flags.add_choice_arguments(parser, "as P,theta,gauges,status")
     common.add_output_arguments(parser)
     parser.set_defaults(ask=None, strict=False, follow=False, deltas=False)  # options of `tipforce decode` alone
 

@@ -196,7 +196,9 @@ class Calibration:
         if not np.isfinite(correlation).all() or np.linalg.eigvalsh(correlation)[0] < -1e-9:
             raise InputError("calibration covariance: not positive semi-definite; no correlation may be over 1")
         if self.parameter_covariance is not None:
-            _check_parameters(self.parameter_covariance)
+            from tipforce.host.configuration.calibration_file import check_parameters
+
+            check_parameters(self.parameter_covariance)
         drift = self.tare_drift_strain_per_s
         if not 0.0 <= drift < np.inf:
             drift_text = f"{1e6 * drift:g} microstrain/s, allowed is 0 (not stated) or above"
@@ -350,21 +352,6 @@ def _number(name: str, value: Any, kind: object) -> int | float:
     if number.shape != () or kind == "int":
         raise InputError(f"calibration {name}: {value!r}, allowed is one {'integer' if kind == 'int' else 'number'}")
     return float(number)
-
-
-def _check_parameters(blocks: FloatArray) -> None:
-    """A covariance here makes covariance_of_estimate() one for every load: no load needs a check of its own."""
-    from tipforce.sensor.calibration.result import DIGITS
-
-    side = blocks.shape[0] * blocks.shape[1]
-    matrix = blocks.reshape(side, side)
-    variance = np.diagonal(matrix)
-    scale = np.where(variance > 0.0, variance, np.abs(matrix).max(initial=0.0) or 1.0)  # 0: an offset not fitted
-    correlation = matrix / np.sqrt(scale) / np.sqrt(scale)[:, np.newaxis]
-    # A file's numbers are rounded to a place of the largest one.
-    rounding = side * 10.0 ** (1 - DIGITS) * float(np.abs(matrix).max(initial=0.0) / scale.min())
-    if not np.isfinite(matrix).all() or np.linalg.eigvalsh(0.5 * (correlation + correlation.T))[0] < -1e-9 - rounding:
-        raise InputError("calibration parameter covariance: not positive semi-definite; no correlation may be over 1")
 
 
 def _check_matrix(C: FloatArray) -> None:

@@ -63,6 +63,22 @@ class FitTable(msgspec.Struct):
         return kronecker(S * 1e-12, N)
 
 
+def check_parameters(blocks: FloatArray) -> None:
+    """Raise InputError where it is no covariance. One makes covariance_of_estimate() a covariance for every load: none
+    needs a check of its own."""
+    from tipforce.sensor.calibration.result import DIGITS
+
+    side = blocks.shape[0] * blocks.shape[1]
+    matrix = blocks.reshape(side, side)
+    variance = np.diagonal(matrix)
+    scale = np.where(variance > 0.0, variance, np.abs(matrix).max(initial=0.0) or 1.0)  # 0: an offset not fitted
+    correlation = matrix / np.sqrt(scale) / np.sqrt(scale)[:, np.newaxis]
+    # A file's numbers are rounded to a place of the largest one.
+    rounding = side * 10.0 ** (1 - DIGITS) * float(np.abs(matrix).max(initial=0.0) / scale.min())
+    if not np.isfinite(matrix).all() or np.linalg.eigvalsh(0.5 * (correlation + correlation.T))[0] < -1e-9 - rounding:
+        raise InputError("calibration parameter covariance: not positive semi-definite; no correlation may be over 1")
+
+
 def fit_table(fit: Fit, angle_scatter_deg: float, **facts: object) -> dict[str, object]:
     """The table [fit]: how the matrix came about, and all that the covariance of an estimate needs. ``facts`` of the
     data: file, rows, lines with bad rows, outliers, readings at or too near to the converter's limit."""

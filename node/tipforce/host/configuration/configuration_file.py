@@ -15,7 +15,8 @@ from canopen_device.core import codes, communication
 from canopen_device.toml_table import convert, read_table
 from canopen_device.types import Value
 from tipforce.dictionary import table
-from tipforce.dictionary.entries import Entry, describe
+from tipforce.dictionary.entries import Entry
+from tipforce.dictionary.names import describe
 from tipforce.errors import InputError, NoResponseError, SdoAbortError
 from tipforce.host.configuration.device_objects import DeviceObjects, FingertipObjects, Place
 from tipforce.host.network.sdo import Blocking, SdoChannel, finished

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from canopen_device.core import codes, communication
 from canopen_device.types import Value
-from tipforce.dictionary import entries, names, table
+from tipforce.dictionary import names, table
 from tipforce.dictionary.entries import Entry
 from tipforce.errors import InputError
 
@@ -36,7 +36,7 @@ class FingertipObjects:
         """The objects stored by 1010h:2 and 1010h:3, by (index, sub). The calibration is not among them. A default
         includes the node-id where the flag ``ADD_NODE_ID`` is set; a stem names the object of a list."""
         settings: dict[Place, Entry[Value]] = {}
-        for place, entry in entries.entries(self._gauges, True).items():
+        for place, entry in names.entries(self._gauges, True).items():
             if entry.access == "rw" and not entry.flags & _NO_SETTING:
                 default = entry.default
                 if entry.flags & table.ADD_NODE_ID and isinstance(default, int):
@@ -45,12 +45,12 @@ class FingertipObjects:
         return settings
 
     def resolve(self, text: str) -> Entry[Value]:
-        """The entry that a person names, as ``dictionary.entries``. Raises InputError."""
+        """The entry that a person names, as ``dictionary.names``. Raises InputError."""
         return names.resolve(text, self._gauges)
 
     def name(self, index: int, sub: int) -> str | None:
         """The dotted name, which ``resolve`` reads; None for an entry without one."""
-        entry = entries.describe(index, sub, self._gauges)
+        entry = names.describe(index, sub, self._gauges)
         return None if entry is None else entry.name
 
     def check(self, entry: Entry[Value], value: Value) -> None:

@@ -7,17 +7,11 @@ import struct
 import threading
 from collections import deque
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
-
-import numpy as np
+from typing import NamedTuple
 
 from canopen_device.core import codes, communication
 from canopen_device.core.emcy import COB_ID_COLLISION
 from tipforce.dictionary import table
-from tipforce.host.frames.frame_array import FrameArray
-
-if TYPE_CHECKING:
-    from tipforce.host.decoding.decoder import Samples
 
 PRODUCT, SERIAL = (communication.IDENTITY, 2), (communication.IDENTITY, 4)
 _PRODUCT_PLACE, _SERIAL_PLACE = (struct.pack("<HB", *place) for place in (PRODUCT, SERIAL))
@@ -35,7 +29,7 @@ _MOST_STEPS = 2  # from a sample to the next of the same node: a SYNC may be los
 _SHORTEST_PERIOD_NS = 50_000_000  # receivers that read in batches give faster heartbeats any spacing
 _SHORT = 0.3  # of the period: a node that rounds its period to its cycle alternates by a third at most
 _UNEVEN = 1.25
-_GUARDING = codes.HEARTBEAT_BASE | codes.REMOTE_FLAG
+GUARDING = codes.HEARTBEAT_BASE | codes.REMOTE_FLAG
 _RESETS = (codes.NMT_RESET_NODE, codes.NMT_RESET_COMMUNICATION)
 
 
@@ -152,32 +146,22 @@ class _Node:
         return min(max(intervals[::2]), max(intervals[1::2])) <= _SHORT * least
 
 
-_ANY_LENGTH, _EMCY, _REQUEST, _RESPONSE = 1, 2, 3, 4
+ANY_LENGTH, _EMCY, _REQUEST, _RESPONSE = 1, 2, 3, 4
 _OF_BASE = {
-    codes.HEARTBEAT_BASE: _ANY_LENGTH, codes.EMCY_BASE: _EMCY, codes.SDO_REQUEST_BASE: _REQUEST,
+    codes.HEARTBEAT_BASE: ANY_LENGTH, codes.EMCY_BASE: _EMCY, codes.SDO_REQUEST_BASE: _REQUEST,
     codes.SDO_RESPONSE_BASE: _RESPONSE,
 }  # fmt: skip
-_KIND_OF = [
+KIND_OF = [
     _OF_BASE.get(can_id & codes.FUNCTION_MASK, 0) if can_id & codes.NODE_ID_MASK else 0
     for can_id in range(codes.STANDARD_MASK + 1)
 ]
 """By identifier what its frames are; 0: nothing that is looked at."""
-_KIND_OF[codes.NMT_COB_ID] = _ANY_LENGTH
-_KIND = np.array(_KIND_OF, dtype=np.uint8)
-_BEGINS = np.ones((5, 256), dtype=np.bool_)
-"""By the kind and the first byte; of SDO frames only those count that begin a transfer."""
-_BEGINS[_REQUEST] = [command == 0x40 or command >> 5 == 1 for command in range(256)]
-_BEGINS[_RESPONSE] = [command >> 4 == 4 or command in (0x60, 0x80) for command in range(256)]
-
-
-def services(frames: FrameArray) -> FrameArray:
-    """Return those of FRAME (n,) that ``DuplicateNodes.frame`` looks at."""
-    frames = frames.compress(_KIND.take(frames["can_id"] & np.uint32(codes.STANDARD_MASK)) > 0)
-    can_id = frames["can_id"]
-    kind = _KIND.take(can_id & np.uint32(codes.STANDARD_MASK))
-    whole = (can_id <= codes.STANDARD_MASK) & ((kind == _ANY_LENGTH) | (frames["length"] == 8))
-    guarding = can_id & ~np.uint32(codes.NODE_ID_MASK) == _GUARDING
-    return frames.compress(guarding | (whole & _BEGINS[kind, frames["data"][:, 0]]))
+KIND_OF[codes.NMT_COB_ID] = ANY_LENGTH
+BEGINS = {
+    _REQUEST: frozenset(command for command in range(256) if command == 0x40 or command >> 5 == 1),
+    _RESPONSE: frozenset(command for command in range(256) if command >> 4 == 4 or command in (0x60, 0x80)),
+}
+"""First bytes of those SDO frames that count: they begin a transfer."""
 
 
 class DuplicateNodes:
@@ -189,23 +173,12 @@ class DuplicateNodes:
         self._nodes: dict[int, _Node] = {}
         self._lock = threading.Lock()
 
-    def add(self, frames: FrameArray) -> list[Duplicate]:
-        """Process frames, FRAME (n,), in the order of reception; return the new findings."""
-        chosen = services(frames)
-        columns = (chosen[name].tolist() for name in ("t_ns", "can_id", "length"))
-        data = chosen["data"].tobytes()
-        new = [
-            self.frame(can_id, data[8 * k : 8 * k + length], t_ns)
-            for k, (t_ns, can_id, length) in enumerate(zip(*columns, strict=True))
-        ]
-        return [duplicate for duplicate in new if duplicate is not None]
-
     def frame(self, can_id: int, data: bytes, t_ns: int) -> Duplicate | None:
         """Process one frame, ``can_id`` with SocketCAN's flags; return a new finding."""
         node_id = can_id & codes.NODE_ID_MASK
-        guarding = can_id - node_id == _GUARDING
-        kind = _KIND_OF[can_id & codes.STANDARD_MASK] if guarding or can_id <= codes.STANDARD_MASK else 0
-        if not kind or (kind != _ANY_LENGTH and len(data) != 8):
+        guarding = can_id - node_id == GUARDING
+        kind = KIND_OF[can_id & codes.STANDARD_MASK] if guarding or can_id <= codes.STANDARD_MASK else 0
+        if not kind or (kind != ANY_LENGTH and len(data) != 8):
             return None
         with self._lock:
             if can_id == codes.NMT_COB_ID:
@@ -215,21 +188,11 @@ class DuplicateNodes:
             if guarding:
                 node.request(_GUARD, 1)
                 cause = ""
-            elif kind == _ANY_LENGTH:
+            elif kind == ANY_LENGTH:
                 cause = self._heartbeat(node_id, node, data[0], t_ns) if len(data) == 1 else ""
             else:
                 cause = _service(kind, node_id, node, data, t_ns)
             return self._note(node_id, node, cause, t_ns) if cause else None
-
-    def samples(self, samples: Samples, frames: FrameArray, modulus: int) -> None:
-        """Process the samples of one message of a node, decoded from FRAME (n,); ``modulus``: of their counters."""
-        counter, stale = samples.columns.get("counter"), samples.columns.get("stale")
-        if counter is None or stale is None:
-            return
-        fresh, data, t_ns = ~np.asarray(stale, np.bool_), frames["data"].tobytes(), frames["t_ns"]
-        for row, count in zip(samples.row[fresh].tolist(), counter[fresh].tolist(), strict=True):
-            content = data[8 * row : 8 * row + 8]
-            self.sample(samples.node_id, samples.message.name, count, content, modulus, int(t_ns[row]))
 
     def sample(self, node_id: int, name: str, counter: int, data: bytes, modulus: int, t_ns: int) -> None:
         """Process a sample that is not stale: the PDO ``name`` with its counter and data."""
@@ -295,7 +258,7 @@ def _service(kind: int, node_id: int, node: _Node, data: bytes, t_ns: int) -> st
         which = f"its identifier 0x{can_id:03X}" if can_id & codes.NODE_ID_MASK == node_id else "one of its identifiers"
         return f"node {node_id} reports that another node sends {which} (EMCY 8150h)"
     place = data[1:4]
-    if not _BEGINS[kind, data[0]]:
+    if data[0] not in BEGINS[kind]:
         return ""
     if kind == _REQUEST:
         node.request(place)

@@ -21,7 +21,7 @@ from tipforce.samples import reasons
 from tipforce.samples.contact import Contact
 from tipforce.samples.reasons import Status
 from tipforce.sensor.contact import estimate as model
-from tipforce.sensor.contact import scalar
+from tipforce.sensor.contact import scalar, scalar_uncertainty, validity
 
 if TYPE_CHECKING:
     Force = tuple[float, float, float]
@@ -97,7 +97,7 @@ class Estimator:
         self.gauges = calibration.gauges
         self._calibration, self._uncertainty = calibration, uncertainty
         self._active = active = self.judge.active
-        model.check_limits(active.limits)
+        validity.check_limits(active.limits)
         self._limits = [limit or np.inf for limit in active.converter or ()]
         calibrated, overload = active.forces
         self._unranged = 0 if calibrated > 0.0 else reasons.UNRANGED
@@ -113,7 +113,7 @@ class Estimator:
         self._is_judged = self._has_own or active.model > 0.0 or active.compensated or ranged or redundant
         solver = active.without(0)[0]
         assert solver is not None
-        self._K, self._scaled_K = solver[1], scalar.scaled_covariance(solver[1])
+        self._K, self._scaled_K = solver[1], scalar_uncertainty.scaled_covariance(solver[1])
         self._status_of: dict[int, Status] = {}
 
     @overload
@@ -234,8 +234,8 @@ class Estimator:
             noise = scalar.MISS_COVERAGE_FACTOR * model.miss_deviation(F.take(rows), K.take(rows))
             misses[rows] = contact.miss_newtons[rows] > noise + scalar.MISS_FLOOR * contact.P_newtons[rows]
         u = model.deviation_columns(F, K, sense) if self._uncertainty else None
-        resolved = self._resolved(verdict, contact, F, K, sense) if u is None else model.is_resolved(u.P, u.theta)
-        bits = model.status_columns(contact, resolved, misses, self._active.limits, before.present, counts)
+        resolved = self._resolved(verdict, contact, F, K, sense) if u is None else validity.is_resolved(u.P, u.theta)
+        bits = validity.status_columns(contact, resolved, misses, self._active.limits, before.present, counts)
         status |= np.where(counts, bits | self._unranged, 0)
         values = [contact.P_newtons, contact.phi_rad * scalar.DEGREES, contact.theta_rad * scalar.DEGREES]
         if u is not None:
@@ -247,8 +247,8 @@ class Estimator:
         if u is None:
             return values + [np.full(len(status), np.nan)] * 3, status
         beyond = np.zeros(len(status), dtype=np.bool_)
-        for shown, bend in zip(values[3:], model.curvature_columns(F, contact.P_newtons, u), strict=True):
-            beyond |= np.isfinite(shown) & ~(bend <= model.CURVATURE_LIMIT)
+        for shown, bend in zip(values[3:], validity.curvature_columns(F, contact.P_newtons, u), strict=True):
+            beyond |= np.isfinite(shown) & ~(bend <= validity.CURVATURE_LIMIT)
         status |= np.where(beyond, reasons.BEYOND_FIRST_ORDER, 0)
         return values, status
 
@@ -265,7 +265,7 @@ class Estimator:
         rows = np.flatnonzero(~resolved & (self._active.limits[1] <= P))
         if len(rows):
             of_rows = model.deviation_columns(F.take(rows), K.take(rows), sense[rows] if sense.ndim else sense)
-            resolved[rows] = model.is_resolved(of_rows.P, of_rows.theta)
+            resolved[rows] = validity.is_resolved(of_rows.P, of_rows.theta)
         return resolved
 
     def _one(
@@ -279,7 +279,7 @@ class Estimator:
         K, scaled_K, status = self._K, self._scaled_K, 0
         if lost or self._is_judged:
             F, K, status = self._judged_force(readings, degC, lost, was_overloaded)
-            scaled_K = scalar.scaled_covariance(K)
+            scaled_K = scalar_uncertainty.scaled_covariance(K)
         else:
             F = active.force(active.C, readings)
             for value, (low, high) in zip(readings, self._bounds):  # noqa: B905 - none where 2112h:2 is known
@@ -312,7 +312,7 @@ class Estimator:
         return F, K, status
 
     def _values(
-        self, F: Force, K: Values, scaled_K: scalar.ScaledCovariance | None, status: int, was_present: bool,
+        self, F: Force, K: Values, scaled_K: scalar_uncertainty.ScaledCovariance | None, status: int, was_present: bool,
         was_overloaded: bool,
     ) -> tuple[int, Values]:  # fmt: skip
         (F1, F2, F3), pull, limits = F, self._active.pull, self._active.limits
@@ -327,8 +327,8 @@ class Estimator:
         status |= self._unranged
         u_P = u_phi = u_theta = u_sine = cosine = 0.0
         if self._uncertainty or not (limits[1] <= P and scalar.clearly_resolved(P, F2, K)):
-            u_P, u_phi, u_theta, u_sine, cosine = scalar.deviations(force, scaled_K, pull)
-        u_miss = scalar.miss_uncertainty(F1, F2, F3, K) if miss > 0.0 else 0.0
+            u_P, u_phi, u_theta, u_sine, cosine = scalar_uncertainty.deviations(force, scaled_K, pull)
+        u_miss = scalar_uncertainty.miss_uncertainty(F1, F2, F3, K) if miss > 0.0 else 0.0
         status |= scalar.status_bits(P, u_P, u_theta, miss, u_miss, theta, limits, was_present)
         unknown = scalar.unknown(status & 0xFF | scalar.CALIBRATED)
         if self._uncertainty:
@@ -347,8 +347,8 @@ class Estimator:
 
 
 def _first_order_holds(P: float, u_P: float, u_phi: float, u_sine: float, cosine: float, phi_known: bool) -> bool:
-    """Whether curvature() of what is known is small, as model.curvature_columns()."""
-    infinity, limit = float("inf"), model.CURVATURE_LIMIT
+    """Whether curvature() of what is known is small, as validity.curvature_columns()."""
+    infinity, limit = float("inf"), validity.CURVATURE_LIMIT
     bias = u_phi * u_phi * P / u_P if u_P > 0.0 else 0.0 if u_phi == 0.0 else infinity
     squared = cosine * cosine
     bend = 0.0 if not u_sine > 0.0 else u_sine / squared if squared > 0.0 else infinity

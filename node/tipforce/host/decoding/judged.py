@@ -17,8 +17,8 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.samples import reasons
 from tipforce.samples.reasons import BEYOND_CALIBRATED, CONTRADICTION, OVERLOAD, TEMPERATURE
 from tipforce.sensor.contact import scalar
-from tipforce.sensor.contact.estimate import held
 from tipforce.sensor.contact.scalar_redundancy import LEAST_SHARE, NO_FAULT, explained
+from tipforce.sensor.contact.validity import held
 
 GAUGES = (1 << table.FAULT_NO_DATA) - 1
 LARGEST_STRAIN = 0.03

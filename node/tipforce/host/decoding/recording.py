@@ -16,12 +16,12 @@ import numpy as np
 
 from tipforce.errors import InputError
 from tipforce.host.decoding.counters import Counters, Tally, TallyRow
-from tipforce.host.decoding.duplicates import services
 from tipforce.host.decoding.health import HealthRows, joins
 from tipforce.host.decoding.log_part import Piece, Progress, Reading, Source, StrictError
 from tipforce.host.decoding.sample_merger import OpenRows, SampleMerger, renumbered
 from tipforce.host.decoding.sample_rule import GAP_FRAMES, GAP_NS
 from tipforce.host.decoding.sample_table import Column, Table, in_order, place_of
+from tipforce.host.decoding.service_frames import services
 from tipforce.host.decoding.services import BusEvents
 from tipforce.host.frames.frame_array import FRAME, MAX_CHANNELS, FrameArray
 from tipforce.host.logs.notes import LogNotes

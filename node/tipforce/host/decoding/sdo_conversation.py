@@ -5,7 +5,8 @@ from collections.abc import Callable, Iterable
 from typing import Any, TypeAlias
 
 from canopen_device import types
-from tipforce.dictionary.entries import Entry, describe
+from tipforce.dictionary.entries import Entry
+from tipforce.dictionary.names import describe
 from tipforce.dictionary.service_texts import abort_text
 from tipforce.errors import InputError
 

@@ -11,8 +11,9 @@ import numpy.typing as npt
 from canopen_device.core import codes
 from tipforce.dictionary import indices
 from tipforce.dictionary.service_texts import LSS_PARTS, LSS_SERVICES, NMT_COMMANDS, emcy_text, state_text
-from tipforce.host.decoding.duplicates import DuplicateNodes, services
+from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.decoding.sdo_conversation import Describe, SdoConversation, fingertip_names
+from tipforce.host.decoding.service_frames import services
 from tipforce.host.frames.frame_array import FrameArray
 
 _DAY_MS, _EPOCH_DAYS = 86_400_000, 5113  # TIME counts from 1984-01-01

@@ -10,6 +10,7 @@ import numpy as np
 from canopen_device.core import codes
 from tipforce.dictionary.service_texts import emcy_text, state_text
 from tipforce.host.decoding.duplicates import DuplicateNodes
+from tipforce.host.decoding.service_frames import find_duplicates
 from tipforce.host.frames.frame_array import FrameArray, heartbeats_and_emcys
 
 Kind = Literal[
@@ -58,7 +59,7 @@ class Supervisor:
         if len(frames):
             # Not SDO: requests of the host itself are not among the frames of every link; its channels watch them.
             sdo = (frames["can_id"] >= codes.SDO_RESPONSE_BASE) & (frames["can_id"] < codes.HEARTBEAT_BASE)
-            for duplicate in self._duplicates.add(frames[~sdo]):
+            for duplicate in find_duplicates(self._duplicates, frames[~sdo]):
                 if duplicate.node_id in self.states:
                     events.append(Event(now_s, duplicate.node_id, "duplicate", str(duplicate)))
             for _, function, node_id, data in heartbeats_and_emcys(frames):

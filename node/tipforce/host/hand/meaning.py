@@ -9,7 +9,8 @@ from canopen_device import types
 from canopen_device.core import codes, communication
 from canopen_device.types import Value
 from tipforce.dictionary import indices, objects, table
-from tipforce.dictionary.entries import Entry, entries
+from tipforce.dictionary.entries import Entry
+from tipforce.dictionary.names import entries
 from tipforce.errors import RefusedError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.configuration_file import Configuration, apply_differences

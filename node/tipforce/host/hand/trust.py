@@ -7,11 +7,10 @@ import threading
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
 
 from canopen_device.core import codes, communication, emcy
 from tipforce.dictionary import indices, objects, table
-from tipforce.dictionary.entries import Entry, entries
+from tipforce.dictionary.names import entries
 from tipforce.dictionary.signals import Message
 from tipforce.host.configuration.device_objects import Place
 from tipforce.samples.reasons import NO_RESPONSE, PRESENT
@@ -75,8 +74,8 @@ class Trust:
         self._answers = {health.cob_id_base + n: k for k, n in enumerate(node_ids)} | dict(answers)
         self._rows, self._real_rows = entries(gauges, True), entries(gauges)
         self._shift = next(s.start_bit for s in health.signals if s.index == indices.CONFIGURATION_COUNTER)
-        commanded: list[Entry[Any]] = [*COMMANDED, *objects.PROCESS_OFFSET.entries(gauges)]
-        self._commanded = frozenset((COUNTER, *(entry.key for entry in commanded)))
+        offsets = [place for place in self._real_rows if place[0] == indices.PROCESS_OFFSET and place[1]]
+        self._commanded = frozenset((COUNTER, *(entry.key for entry in COMMANDED), *offsets))
         self._row, self._row_s, self._period_s, self._now_s = 0, -math.inf, 0.0, 0.0
         self._is_whole = False  # the last row has the answers of all, which the fingers do not have yet
         self._fixed: dict[int, tuple[Callable[[int, float], None], range]] = {

@@ -1,4 +1,4 @@
-"""Contacts of many samples: the formulas of scalar.py, operation by operation, for columns: F1, F2, F3 and the six
+"""Contacts of many samples: the formulas of scalar*.py, operation by operation, for columns: F1, F2, F3 and the six
 different elements of the covariance of F, each an array of the same shape (or a number)."""
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import BoolArray, FloatArray, IntArray, floats
+from tipforce.arrays import FloatArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.contact import scalar
 
@@ -160,7 +160,7 @@ def contact_columns(F: Forces, sense: FloatArray | float) -> Contact:
 
 
 def deviation_columns(F: Forces, K: Covariance, sense: FloatArray | float) -> Deviations:
-    """Return the standard uncertainties of the contacts, as scalar.uncertainty()."""
+    """Return the standard uncertainties of the contacts, as scalar_uncertainty.uncertainty()."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         n1, n3 = F.f1 / F.hypotenuse, F.f3 / F.hypotenuse
         P = np.maximum(F.hypotenuse, 0.5 * (F.hypotenuse + np.abs(F.f2)))
@@ -179,7 +179,7 @@ def deviation_columns(F: Forces, K: Covariance, sense: FloatArray | float) -> De
 
 
 def miss_deviation(F: Forces, K: Covariance) -> FloatArray:
-    """Return the standard uncertainties of |F2| - hypot(F1, F3), as scalar.miss_uncertainty()."""
+    """Return the standard uncertainties of |F2| - hypot(F1, F3), as scalar_uncertainty.miss_uncertainty()."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         sign = np.where(F.f2 < 0.0, -1.0, 1.0)
         u = _deviation(K, -F.f1 / F.hypotenuse, sign, -F.f3 / F.hypotenuse)
@@ -187,87 +187,31 @@ def miss_deviation(F: Forces, K: Covariance) -> FloatArray:
         return np.where(F.hypotenuse == 0.0, bound, u) * K.root
 
 
-def curvature_columns(F: Forces, P_newtons: FloatArray, u: Deviations) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return curvature() of P, phi and theta, of contacts with F1 or F3."""
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        cosine = F.cosine / F.hypotenuse
-        bias = np.where(u.P > 0.0, u.phi * u.phi * P_newtons / u.P, np.where(u.phi == 0.0, 0.0, np.inf))
-        bend = np.where(u.sine > 0.0, u.sine / (cosine * cosine), 0.0)
-        swing = u.P / P_newtons
-        return np.maximum(bias, bend), swing, np.maximum(bend, swing)
-
-
-def status_columns(
-    contact: Contact,
-    resolved: BoolArray,
-    misses: BoolArray,
-    limits: tuple[float, float, float, float],
-    was_present: bool,
-    counts: BoolArray | bool = True,
-) -> IntArray:
-    """Return scalar.status_bits() of samples in time order; one that does not count leaves contact as it was."""
-    on, off, theta_min_deg, theta_max_deg = limits
-    P, theta = contact.P_newtons, contact.theta_rad
-    loaded = off <= P
-    present = held((on <= P) & counts, ~loaded & counts, was_present)
-    resolved = resolved & loaded & np.isfinite(theta)
-    past_start_deg = theta * scalar.DEGREES - theta_min_deg + scalar.PAD_SLACK_DEG
-    with np.errstate(invalid="ignore"):
-        past_start_deg = past_start_deg - 360.0 * np.floor(past_start_deg / 360.0)
-        outside = past_start_deg > theta_max_deg - theta_min_deg + 2.0 * scalar.PAD_SLACK_DEG
-    bits: IntArray = (
-        present * scalar.CONTACT_PRESENT
-        + ~resolved * scalar.THETA_UNRESOLVED
-        + misses * scalar.MISSES_TIP
-        + (outside & present & resolved & ~misses) * scalar.OUTSIDE_PAD
-    )
-    return bits
-
-
 def contacts(F_newtons: npt.ArrayLike, *, pull: bool) -> Contact:
     """Return the contacts of forces (..., 3), newtons, as scalar.contact(): the inverse of equation (16). pull: the
     load pulls at the surface (a rope), else it pushes (a contact). Raises InputError where the last axis is not 3."""
-    return contact_columns(_forces(F_newtons), 1.0 if pull else -1.0)
+    return contact_columns(checked_forces(F_newtons), 1.0 if pull else -1.0)
 
 
 def standard_uncertainties(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike, *, pull: bool) -> FloatArray:
     """Return the standard uncertainties of P, phi, theta, (..., 3), N and rad, as scalar.uncertainty(); NaN for bad
     numbers. F: (..., 3); covariance_F: (3, 3) or (..., 3, 3), N^2. Raises InputError for other shapes."""
-    u = deviation_columns(_forces(F_newtons), _covariances(covariance_F, F_newtons), 1.0 if pull else -1.0)
+    u = deviation_columns(
+        checked_forces(F_newtons), checked_covariances(covariance_F, F_newtons), 1.0 if pull else -1.0
+    )
     return np.stack(u[:3], axis=-1)
 
 
-def is_resolved(u_P_newtons: FloatArray, u_theta_rad: FloatArray) -> BoolArray:
-    """Return whether the uncertainties, (...), leave theta resolved; not where one is NaN."""
-    return (u_P_newtons >= 0.0) & (u_theta_rad * scalar.DEGREES <= scalar.THETA_RESOLVED_DEG)
-
-
-def check_limits(limits: tuple[float, float, float, float]) -> None:
-    """Raise InputError for limits that no sample can be compared with."""
-    on, off, theta_min_deg, theta_max_deg = limits
-    if not off <= on:
-        raise InputError(f"contact_off_newtons = {off!r}: allowed is at most contact_on_newtons = {on!r}")
-    if not theta_min_deg <= theta_max_deg:
-        raise InputError(f"theta_min_deg = {theta_min_deg!r}: allowed is at most theta_max_deg = {theta_max_deg!r}")
-
-
-def held(on: BoolArray, off: BoolArray, before: bool) -> BoolArray:
-    """Return a state over time, (m,): that of the last sample that switched it on or off, ``before`` the first."""
-    switched = on | off
-    if switched.all():
-        return on
-    last = np.maximum.accumulate(np.where(switched, np.arange(on.size), -1))
-    return np.where(last >= 0, on[last], before)
-
-
-def _forces(F_newtons: npt.ArrayLike) -> Forces:
+def checked_forces(F_newtons: npt.ArrayLike) -> Forces:
+    """Return forces() of F (..., 3). Raises InputError for another shape."""
     F = floats("F", F_newtons)
     if F.ndim < 1 or F.shape[-1] != 3:
         raise InputError(f"F has the shape {F.shape}: allowed is (..., 3), newtons")
     return forces(F[..., 0], F[..., 1], F[..., 2])
 
 
-def _covariances(covariance_F: npt.ArrayLike, F_newtons: npt.ArrayLike) -> Covariance:
+def checked_covariances(covariance_F: npt.ArrayLike, F_newtons: npt.ArrayLike) -> Covariance:
+    """Return covariances() of one for all forces, or of one each. Raises InputError for another shape."""
     K, shape = floats("covariance_F", covariance_F), np.shape(F_newtons)
     if K.shape not in {(3, 3), (*shape, 3)}:
         raise InputError(f"covariance_F has the shape {K.shape}: allowed is (3, 3) or {(*shape, 3)}")
@@ -305,7 +249,7 @@ def _worst_deviation(K: Covariance) -> FloatArray:
 
 
 def _finite_slope(x: FloatArray, cosine: FloatArray, step: FloatArray) -> FloatArray:
-    """Return the slope of asin over one standard uncertainty, as scalar.finite_slope() describes."""
+    """Return the slope of asin over one standard uncertainty, as in scalar_uncertainty."""
     inward = _arc(x, cosine, -np.minimum(step, 1.0 + x))
     outward = _arc(x, cosine, np.minimum(step, cosine * cosine / (1.0 + x)))
     chords = np.sqrt(0.5 * (inward * inward + outward * outward)) / step
@@ -319,30 +263,3 @@ def _arc(x: FloatArray, cosine: FloatArray, step: FloatArray) -> FloatArray:
     total = cosine + other
     ratio = span / np.where(total > 0.0, total, np.inf)
     return 2.0 * np.arcsin(np.minimum(0.5 * np.abs(step) * np.sqrt(1.0 + ratio * ratio), 1.0))
-
-
-CURVATURE_LIMIT = 0.25
-"""Largest curvature() with which first order holds; bench/coverage.py measures its coverage."""
-
-
-def curvature(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> FloatArray:
-    """Return the change of the first-order slopes of P, phi, theta over one standard uncertainty, as fractions: (...,
-    3). F: (..., 3) newtons; covariance_F: (3, 3) or (..., 3, 3), N^2. With x = F2 / P = sin(delta):
-
-    - P: u_t^2 / (P u(P)), u_t the uncertainty of the force across its own direction: twice the bias of P over u(P).
-      Or u(x) / cos^2(delta) if larger: where the line of action may miss by noise, P is projected;
-    - phi: u(P) / P, because a force that is too small has too large an angular error;
-    - theta: u(x) / cos^2(delta), or that of phi if it is larger; infinite where the line of action misses.
-
-    F1 = F3 = 0: all infinite. Numbers that are not finite: NaN. Raises InputError for other shapes."""
-    F = _forces(F_newtons)
-    u = deviation_columns(F, _covariances(covariance_F, F_newtons), 1.0)
-    ratios = np.stack(curvature_columns(F, contact_columns(F, 1.0).P_newtons, u), axis=-1)
-    directed = ((F.F1 != 0.0) | (F.F3 != 0.0))[..., np.newaxis]
-    return np.where(np.isfinite(u.P)[..., np.newaxis], np.where(directed, ratios, np.inf), np.nan)
-
-
-def first_order_holds(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> BoolArray:
-    """Whether uncertainties of P, phi, theta can be trusted, (..., 3): curvature() within limits. Raises InputError."""
-    with np.errstate(invalid="ignore"):
-        return np.asarray(curvature(F_newtons, covariance_F) <= CURVATURE_LIMIT)

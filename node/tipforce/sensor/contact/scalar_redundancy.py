@@ -77,7 +77,7 @@ def structure_matrix(C: list[list[float]], noise: list[float]) -> list[list[floa
 def leave_out(
     C: list[list[float]], noise: list[float], left_out: list[int], condition_limit: float = CONDITION_LIMIT
 ) -> tuple[list[list[float]], tuple[float, float, float, float, float, float]] | None:
-    """Return (3 rows of n, newtons per unit strain; covariance of F as of scalar.uncertainty()) without the gauges
+    """Return (3 rows of n, newtons per unit strain; covariance of F, upper triangle, N^2) without the gauges
     ``left_out`` (from 0), zeros for them; None without rank 3: fewer than three left, a singular covariance, or a
     condition number over the limit. C must weigh by noise; all zero: equal weights, a covariance of zero.
     """

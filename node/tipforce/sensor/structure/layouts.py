@@ -54,12 +54,6 @@ def layout(name_or_points: Layout) -> tuple[str, ...]:
     return points
 
 
-def mirror(name_or_points: Layout) -> tuple[str, ...]:
-    """Return the layout mirrored at the y-axis, gauge by gauge. Raises InputError as layout() does. For (F1, F2, F3) a
-    mirrored gauge reads what the original does for (F1, -F2, -F3): equal condition number."""
-    return tuple(MIRROR[point] for point in layout(name_or_points))
-
-
 def layout_code(name_or_points: Layout) -> int:
     """Return 1, 2, 3 for the cases I, II, III with SG1 to SG3 in their order, else 255. Raises as layout() does."""
     points = layout(name_or_points)

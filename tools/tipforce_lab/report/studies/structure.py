@@ -9,7 +9,8 @@ from tipforce.arrays import FloatArray
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS
 from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, EULER_BERNOULLI, TIMOSHENKO, Frame, FrameModel
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M
-from tipforce.sensor.structure.strain import condition_number, position_matrix, strain_matrix
+from tipforce.sensor.structure.quality import condition_number
+from tipforce.sensor.structure.strain import position_matrix, strain_matrix
 from tipforce_lab.fem import plane_stress as fem
 from tipforce_lab.fem.mesh import GRADING, STATED, Resolution
 from tipforce_lab.fem.plane_stress import Model, solve
