@@ -98,6 +98,15 @@ def test_a_sample_is_one_row(made: list[tuple[str, int, int, int]], count: int) 
     assert len(rows(frames_of(made))) == count
 
 
+@pytest.mark.parametrize("cut", [1, 2, 3])
+def test_samples_before_the_first_number_of_a_sync_count_modulo_256_in_any_blocks(cut: int) -> None:
+    frames = frames_of([("gauges", 1, 250, 1), ("gauges", 1, 254, 1), ("gauges", 1, 1, 1), ("gauges", 1, 1, 0)])
+    frames["can_id"][2], frames["length"][2], frames["data"][2, 0] = 0x080, 1, 1
+    tally = tables_of(frames, [cut])[1]
+    assert tally == tables_of(frames)[1]
+    assert tally.messages["can0", 1, "Gauges"][1:] == (3, 250, 1, 256, 240)
+
+
 def test_health_has_no_sample_counter_and_is_a_row_of_its_own() -> None:
     made = [("gauges", 1, 3, 1), ("contact", 1, 3, 0), ("health", 1, 3, 1), ("health", 1, 3, 1), ("gauges", 1, 4, 1)]
     found = rows(frames_of(made))

@@ -122,15 +122,18 @@ class Decoder:
     """Decode the TPDOs of nodes with ``n`` gauges, by default as in docs/objects.md. ``malformed``: by (node-id,
     message) frames shorter than their mapping, not decoded (a node's EMCY 8210h); extra bytes are ignored."""
 
-    def __init__(self, n: int = 3, node_ids: Iterable[int] = range(1, 128)) -> None:
-        """Raises InputError for an ``n`` outside 3..8 or a node-id outside 1..127."""
+    def __init__(
+        self, n: int = 3, node_ids: Iterable[int] = range(1, 128), services: Iterable[Message] = ()
+    ) -> None:  # fmt: skip
+        """``services``: other messages of these nodes, on their base identifiers and node-ids. Raises InputError for an
+        ``n`` outside 3..8 or a node-id outside 1..127."""
         self._n = n
         self._messages: dict[Key, tuple[int, Message]] = {}
         self._given: dict[int, Key] = {}  # identifiers set by remap
         self._remapped: dict[tuple[str, tuple[tuple[int, int, int], ...]], Message] = {}
         self._plans: dict[frozenset[str] | None, Plan] = {}
         self.malformed = Counter[Key]()
-        messages = tpdo_messages(n)
+        messages = (*tpdo_messages(n), *services)
         for node_id in node_ids:
             if not 1 <= node_id <= 127:
                 raise InputError(f"node-id {node_id}: allowed are 1 to 127")
@@ -144,12 +147,6 @@ class Decoder:
         decoder = cls(node_ids=())
         decoder._messages.update(messages)
         return decoder
-
-    def add(self, message: Message, node_ids: Iterable[int]) -> None:
-        """Decode another message of some nodes, on its base identifier and their node-id."""
-        for node_id in node_ids:
-            self._messages[node_id, message.name] = message.cob_id_base + node_id, message
-        self._plans.clear()
 
     def changes(self, frames: FrameArray) -> list[Change]:
         """Return the changes of layouts that the frames (k,) show; this decoder's layouts are given and stay."""

@@ -25,8 +25,8 @@ from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import NO_FLAG, NO_INTEGER, Table, missing_of, node_of
 from tipforce.host.logs.notes import no_frame
 from tipforce.samples import reasons
+from tipforce.samples.columns import contact_values, uncertainties
 from tipforce.samples.reasons import Status
-from tipforce.samples.record import JoinedSamples
 
 if TYPE_CHECKING:
     import pandas
@@ -218,12 +218,9 @@ def _node_log(node_id: int, tables: list[Table], n: int, calibration: Calibratio
         signal: np.concatenate([of.values[c.name] if c.name in of.values else missing_of(c, len(of)) for of in tables])
         for signal, c in of_signal.items()
     }
-    samples = JoinedSamples(
-        t_ns, np.full(len(t_ns), node_id, dtype=np.uint8), counter, columns, gauges=n,
-        calibrations={node_id: calibration}, fingers=(node_id,),
-    )  # fmt: skip
-    strain, status = samples.gauges, samples.status
-    values = np.concatenate((samples.contact, samples.uncertainties), axis=1)
+    strain, status = np.stack([columns[name] for name in gauges], axis=-1), reasons.status_of(columns, t_ns.shape)
+    contact, doubts = contact_values(columns, strain * 1e-6, status, calibration)
+    values, status = np.hstack((contact, uncertainties(contact[:, np.newaxis], [calibration])[:, 0])), status | doubts
     if calibration is not None:
         rows, contacts = of_samples(prepared(calibration), columns, strain, status, History(), t_ns)
         values[rows], status[rows] = contacts.values, contacts.status

@@ -182,9 +182,7 @@ class Layouts:
             from tipforce.host.decoding.eds_decoder import EdsDecoder
 
             return EdsDecoder((node, path) for node, path in self.eds if node in nodes)
-        decoder = Decoder(self.gauges, nodes)
-        for message in SERVICES if services else ():
-            decoder.add(message, nodes)
+        decoder = Decoder(self.gauges, nodes, SERVICES if services else ())
         for node, name, can_id, mapping in ((node, *pdo) for node, pdos in self.pdos if node in nodes for pdo in pdos):
             decoder.remap(node, name, can_id, mapping)
         return decoder

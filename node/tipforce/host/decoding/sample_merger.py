@@ -90,8 +90,8 @@ class SampleMerger:
     def tables(self, frames: FrameArray) -> Iterator[Table]:
         """Yield the samples that are complete now, apart where numbers of SYNCs begin or end, and layouts change."""
         changes, start = self._changes(frames), 0
-        for end in [*sorted({*self.sync.cuts(frames), *changes} - {len(frames)}), len(frames)]:
-            if start:
+        for number, end in enumerate([*sorted({*self.sync.cuts(frames), *changes} - {len(frames)}), len(frames)]):
+            if number:
                 yield from self.finish()
             self.sync.look(frames[start:end])
             yield from self._joined(frames[start:end])

@@ -84,9 +84,6 @@ class FrameBuffer:
                 self.dropped += excess
             self._arrived.notify_all()
 
-    def stop(self) -> None:
-        """Do nothing; called by the Notifier at its end."""
-
     def take(self, can_ids: Collection[int], deadline: float) -> FrameArray:
         """Remove and return frames until each of ``can_ids`` has come, or to ``deadline`` (``time.monotonic()``)."""
         taken, missing = list[RawFrame](), set(can_ids)

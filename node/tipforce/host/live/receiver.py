@@ -167,10 +167,6 @@ class ReceiverGroup(Receiver):
         """Frames that the kernel dropped so far, on all buses."""
         return sum(receiver.dropped for receiver in self._receivers)
 
-    def fileno(self) -> int:
-        """Return the file descriptor of a single receiver; -1 for several."""
-        return self._receivers[0].fileno() if len(self._receivers) == 1 else -1
-
     def close(self) -> None:
         """Close all receivers."""
         self._closing.close()
