@@ -19,7 +19,7 @@ from micropython.recording import Talk
 from tipforce.dictionary import table
 from tipforce.fingertip.calibration import Active
 from tipforce.fingertip.node import Fingertip
-from tipforce.sensor.contact import scalar
+from tipforce.sensor.contact import scalar, scalar_uncertainty
 
 single = np.float32
 _FUNCTIONS = ("asin", "atan2", "sqrt", "ldexp")
@@ -27,8 +27,9 @@ _FUNCTIONS = ("asin", "atan2", "sqrt", "ldexp")
 
 @contextmanager
 def single_functions() -> Iterator[None]:
-    """``sensor.scalar`` computes in single precision on what is single."""
-    kept = dict(vars(scalar))
+    """The scalar modules of ``sensor.contact`` compute in single precision on what is single."""
+    modules = scalar, scalar_uncertainty
+    kept = [dict(vars(module)) for module in modules]
 
     def rounded(function: Any) -> Any:
         def call(*args: float) -> np.float32:
@@ -37,15 +38,16 @@ def single_functions() -> Iterator[None]:
         return call
 
     try:
-        for name in _FUNCTIONS:
-            setattr(scalar, name, rounded(getattr(math, name)))
-        for name in ("pi", "TWO_PI", "DEGREES"):
-            setattr(scalar, name, single(kept[name]))
+        for module, names in zip(modules, kept, strict=True):
+            for name in names.keys() & set(_FUNCTIONS):
+                setattr(module, name, rounded(getattr(math, name)))
+            for name in names.keys() & {"pi", "TWO_PI", "DEGREES"}:
+                setattr(module, name, single(names[name]))
         with np.errstate(all="ignore"):
             yield
     finally:
-        for name in (*_FUNCTIONS, "pi", "TWO_PI", "DEGREES"):
-            setattr(scalar, name, kept[name])
+        for module, names in zip(modules, kept, strict=True):
+            vars(module).update(names)
 
 
 def make_single(device: Device) -> Fingertip:
