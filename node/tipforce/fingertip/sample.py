@@ -4,6 +4,7 @@ from canopen_device.core.codes import NEVER_US
 from canopen_device.core.object_dictionary import real32
 from tipforce.dictionary import table
 from tipforce.sensor.contact import scalar
+from tipforce.sensor.contact.scalar_uncertainty import magnitude_uncertainty, miss_uncertainty, uncertainty
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -183,8 +184,6 @@ class Sample:
             if self.active is None or self.solver is None:
                 self._uncertainty = (NAN, NAN, NAN)
             else:
-                from tipforce.sensor.contact.scalar_uncertainty import uncertainty  # few samples need it
-
                 f1, f2, f3 = self.force()
                 self._uncertainty = uncertainty(f1, f2, f3, self.covariance(), self.active.pull)
         return self._uncertainty
@@ -193,8 +192,6 @@ class Sample:
         """Standard uncertainty of P (N) alone; NaN without calibration."""
         if self._uncertainty is not None or self.active is None or self.solver is None:
             return self.uncertainty()[0]
-        from tipforce.sensor.contact.scalar_uncertainty import magnitude_uncertainty
-
         f1, f2, f3 = self.force()
         return magnitude_uncertainty(f1, f2, f3, self.covariance())
 
@@ -261,8 +258,6 @@ class Sample:
                 u_P, _u_phi, u_theta = self.uncertainty()
         u_miss = 0.0
         if miss > 0.0:
-            from tipforce.sensor.contact.scalar_uncertainty import miss_uncertainty
-
             u_miss = miss_uncertainty(force[0], force[1], force[2], covariance)
         bits |= scalar.status_bits(P, u_P, u_theta, miss, u_miss, theta, self.active.limits, self._was_present)
         if bits | scalar.OUTSIDE_PAD == _ALL_KNOWN:

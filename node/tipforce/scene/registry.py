@@ -152,8 +152,7 @@ def _node_parts(scene: schema.Scene, groups: Sequence[schema.Nodes]) -> Iterator
     yield _part("calibration", why, 'nodes.calibration = "none"', *modules)
     yield _part("calibration file", named, "none is named", "tipforce.host.configuration.calibration_file")
     yield _keyed("filter", "nodes.filter", filtered, "tipforce.fingertip.filters")
-    why = force or nobody or "no PDO that has or needs it"
-    yield Part("force in the node", bool(force), why, (), ("tipforce.sensor.contact.scalar_uncertainty",))
+    yield _part("force in the node", force, nobody or "no PDO that has or needs it")
     yield _part("contact in the node", contact, nobody or "no contact PDO, and no status byte 2120h that needs it")
     spare = any(group.calibration != "none" and len(layout(group.layout)) > 3 for group in groups)
     why = "a calibrated layout of more than 3 gauges; used after the loss of one"
