@@ -3,13 +3,17 @@
 Data in bytes (CSV, Parquet) goes to ``sys.stdout.buffer`` as it is. The colours of tables go to the stream below.
 """
 
-import argparse
+from __future__ import annotations
+
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any, Literal, TextIO, cast
+from typing import TYPE_CHECKING, Any, Literal, TextIO, cast
 
 from canopen_device.visible_text import visible_lines
+
+if TYPE_CHECKING:
+    import argparse
 
 
 class VisibleStream:
