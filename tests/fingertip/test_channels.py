@@ -46,18 +46,14 @@ def test_flat_scaling_never_raises() -> None:
     assert talk.put("f", 0x6123, 1, 1000.0) == 0
 
 
-def absurd(talk: rig.Finger, rng: random.Random) -> None:
-    """Write a number from the far ends of REAL32 into a random setting; the node may take or refuse it."""
-    number = rng.choice([3.4e38, -3.4e38, 1e-45, -1e-45, 0.0, 1.0, 1e20])
-    talk.put("f", 0x6000 + rng.choice(SETTINGS), rng.randint(1, 3), number)
-
-
 def test_absurd_scaling_and_calibration_never_raise() -> None:
     rng = random.Random(20)
     talk = rig.finger(load=rig.PUSH)
     assert talk.put("f", 0x2105, 1, 1e30) == 0
     for k in range(300):
-        absurd(talk, rng)
+        # A number from the far ends of REAL32 in a random setting: the node may take or refuse it.
+        number = rng.choice([3.4e38, -3.4e38, 1e-45, -1e-45, 0.0, 1.0, 1e20])
+        talk.put("f", 0x6000 + rng.choice(SETTINGS), rng.randint(1, 3), number)
         C = [[rng.choice([3.4e38, -3.4e38, 1e-45, 1.0, 0.0]) for _ in range(3)] for _ in range(3)]
         data = rig.record(C=C, noise_strain=rng.choice([1e-22, 1e-8, 1e18]), tip=(3e38, -3e38, 3e38, 0.0, 0.0, k % 2))
         talk.stage(data)
@@ -147,15 +143,6 @@ def test_offsets_are_taken_off_before_the_matrix(n: int) -> None:
     )
     assert struct.unpack("<h", talk.frames()[0x285][:2]) == (0,)
     assert talk.channels(n)[:n] == pytest.approx([1e6 * value for value in offsets], abs=0.01)
-
-
-def test_a_lost_gauge_makes_the_force_less_certain() -> None:
-    talk = rig.finger(5, load=rig.PUSH)
-    talk.frames()
-    whole = talk.get("f", 0x2107, 2)
-    talk.source.offset_microstrain[0] = 5000.0
-    assert struct.unpack_from("<h", talk.frames()[0x285])[0] == pytest.approx(1000, abs=3)
-    assert talk.get("f", 0x2107, 2) > 1.3 * whole  # phi: this load is mostly F3
 
 
 def test_a_broken_wire_costs_its_gauge_alone() -> None:

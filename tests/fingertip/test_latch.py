@@ -2,6 +2,7 @@
 
 import math
 import struct
+from typing import Any
 
 import numpy as np
 import pytest
@@ -64,34 +65,29 @@ def test_event_driven_health_carries_the_last_latch() -> None:
 
 
 @pytest.mark.parametrize(
-    ("load", "tip", "set_", "unknown"),
+    ("load", "changes", "set_", "unknown"),
     [
-        (rig.PUSH, None, rig.CALIBRATED | rig.CONTACT, ()),
-        ((0.0, 0.0, 0.0), None, rig.CALIBRATED | rig.UNRESOLVED, (1, 2)),  # no contact: no direction
-        ((0.04, 175.0, 10.0), None, rig.CALIBRATED, (1, 2)),  # above contact-off, never above contact-on
-        ((1.0, -110.0, 70.0), None, rig.CALIBRATED | rig.CONTACT | rig.OUTSIDE, ()),  # outside the pad hides nothing
-        ((1.0, 10.0, 10.0), PULL_TIP, rig.CALIBRATED | rig.CONTACT, ()),
+        (rig.PUSH, {}, rig.CALIBRATED | rig.CONTACT, ()),
+        ((0.0, 0.0, 0.0), {}, rig.CALIBRATED | rig.UNRESOLVED, (1, 2)),  # no contact: no direction
+        ((0.04, 175.0, 10.0), {}, rig.CALIBRATED, (1, 2)),  # above contact-off, never above contact-on
+        ((1.0, -110.0, 70.0), {}, rig.CALIBRATED | rig.CONTACT | rig.OUTSIDE, ()),  # outside the pad hides nothing
+        ((1.0, 10.0, 10.0), {"tip": PULL_TIP}, rig.CALIBRATED | rig.CONTACT, ()),
+        # Noise of 1 N makes the angle worthless, not the force.
+        (NORMAL, {"noise_strain": 1e-4}, rig.CALIBRATED | rig.CONTACT | rig.UNRESOLVED, (2,)),
     ],
 )
 def test_status_bits_and_what_they_make_unknown(
-    load: tuple[float, float, float], tip: tuple[float, ...] | None, set_: int, unknown: tuple[int, ...]
+    load: tuple[float, float, float], changes: dict[str, Any], set_: int, unknown: tuple[int, ...]
 ) -> None:
-    talk = rig.finger(calibrated=rig.record() if tip is None else rig.record(tip=tip), load=load)
+    talk = rig.finger(calibrated=rig.record(**changes), load=load)
     pdos = talk.sync()
     assert pdos.status == set_
+    assert pdos.contact[0] == pytest.approx(1000 * load[0], abs=2)
     for k in range(3):
         assert (pdos.contact[k] == rig.UNKNOWN) == (k in unknown)
         assert math.isnan(talk.get("f", 0x6130, 7 + k)) == (k in unknown)
         assert talk.get("B", 0x6150, 7 + k) == (k in unknown)
     assert rig.UNKNOWN not in pdos.gauges
-
-
-def test_theta_unresolved_hides_theta_alone() -> None:
-    # Noise of 1 N makes the angle worthless, not the force.
-    pdos = rig.finger(calibrated=rig.record(noise_strain=1e-4), load=NORMAL).sync()
-    assert pdos.status == rig.CALIBRATED | rig.CONTACT | rig.UNRESOLVED
-    assert pdos.contact[0] == pytest.approx(1000, abs=2)
-    assert pdos.contact[2] == rig.UNKNOWN
 
 
 def test_contact_has_a_hysteresis() -> None:

@@ -180,9 +180,8 @@ def test_what_a_status_makes_unknown(status_byte: int, expected: int) -> None:
 
 def test_saturation_takes_nothing_where_the_other_gauges_suffice() -> None:
     assert scalar.unknown(GOOD | scalar.SATURATED, rank_left_is_3=True) == 0
-    assert (
-        scalar.unknown(scalar.CONTACT_PRESENT | scalar.SATURATED, rank_left_is_3=True) == scalar.UNKNOWN_FORCE | ANGLES
-    )
+    uncalibrated = scalar.CONTACT_PRESENT | scalar.SATURATED
+    assert scalar.unknown(uncalibrated, rank_left_is_3=True) == scalar.UNKNOWN_FORCE | ANGLES
 
 
 @settings(max_examples=100, derandomize=True, deadline=None)

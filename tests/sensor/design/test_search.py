@@ -6,7 +6,6 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from tipforce.errors import EnvironmentLackError, InputError
@@ -16,8 +15,6 @@ from tipforce.sensor.structure.plane_frame import slit_closure, worst_stress
 from tipforce.sensor.structure.strain import GaugePosition, gauge_matrix
 from tipforce_lab.design import search as designs
 from tipforce_lab.design.merit import AGREEMENT, FIGURES, Assessment, Limits, assess, glued, merit, pareto
-
-FloatArray = npt.NDArray[np.float64]
 
 NOISE = 0.5
 LIMITS = Limits()

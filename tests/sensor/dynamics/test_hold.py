@@ -21,7 +21,6 @@ from tipforce_lab.dynamics.switched import slit_stop
 
 DAMPING = [0.0, 0.01, 0.3, 0.999999, 1.0, 1.0000001, 1.4, 1.5000001, 2.0, 50.0]
 damping = st.one_of(st.sampled_from(DAMPING), st.floats(0.0, 50.0))
-exponents = st.floats(-9.0, 9.0)
 BODY = modes(FABRICATED)
 STIFF = modes(FABRICATED, beam_density_kg_m3=7850.0)
 F = np.array([1.0, 0.5, -0.3])
