@@ -264,19 +264,11 @@ def test_damaged_files_never_raise_anything_else(tmp_path: Path) -> None:
         lines = content.splitlines()
         for _ in range(rng.randrange(1, 12)):
             k = rng.randrange(len(lines))
-            kind = rng.randrange(4)
-            if kind == 0:
-                del lines[k]
-            elif kind == 1:
-                lines.insert(k, rng.choice(lines))
-            elif kind == 2:
-                key, equal, _ = lines[k].partition("=")
-                lines[k] = (
-                    key + equal + rng.choice(["", "-1", "0xFFFFFFFF", "1e99", "$NODEID", "zz", "9" * 50, "0x9", "8"])
-                )
-            else:
-                at = rng.randrange(len(lines[k]) + 1)
-                lines[k] = lines[k][:at] + chr(rng.randrange(32, 300)) + lines[k][at + 1 :]
+            key, equal, _ = lines[k].partition("=")
+            value = rng.choice(["", "-1", "0xFFFFFFFF", "1e99", "$NODEID", "zz", "9" * 50, "0x9", "8"])
+            at = rng.randrange(len(lines[k]) + 1)
+            changed = lines[k][:at] + chr(rng.randrange(32, 300)) + lines[k][at + 1 :]
+            lines[k : k + 1] = rng.choice([[], [rng.choice(lines), lines[k]], [key + equal + value], [changed]])
         with suppress(InputError):
             described(tmp_path, "\n".join(lines))
             fuzz_file(tmp_path / "any.eds", 150, seed=17)

@@ -1,35 +1,21 @@
 """The blocks of 61xxh and 71xxh, the channels of CiA 404, and nodes with four to eight gauges."""
 
-import math
 import random
 import struct
 
 import pytest
 
 from canopen_device.testing import MemoryStore
-from fingertip.finger import (
-    CALIBRATED,
-    CONTACT,
-    FAULT,
-    PUSH,
-    SATURATED,
-    SAVE,
-    Finger,
-    finger,
-    forces,
-    matrix,
-    record,
-    strain_per_newton,
-)
+from fingertip import finger as rig
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sources.simulated import SimulatedSource
 
 SETTINGS = (0x120, 0x121, 0x122, 0x123, 0x124, 0x133, 0x134, 0x135, 0x136, 0x148, 0x149)
-F = forces(PUSH)
+F = rig.forces(rig.PUSH)
 
 
 def test_two_point_scaling_and_offset() -> None:
-    talk = finger(calibrated=False, load=(1.0, 90.0, 0.0))  # 1000 counts on gauges 1 and 2
+    talk = rig.finger(calibrated=False, load=(1.0, 90.0, 0.0))  # 1000 counts on gauges 1 and 2
     for index, value in ((0x6120, 100.0), (0x6121, -50.0), (0x6122, 600.0), (0x6123, 200.0), (0x6124, 7.0)):
         assert talk.put("f", index, 1, value) == 0
     talk.advance(100_000)
@@ -42,38 +28,34 @@ def test_two_point_scaling_and_offset() -> None:
 def test_scaling_points_that_differ_less_than_real32_tells_are_equal() -> None:
     # INTEGER32 holds 16777217, REAL32 does not: kept finer than it is stored, the two would meet at the restart.
     store = MemoryStore()
-    talk = finger(store=store)
+    talk = rig.finger(store=store)
     assert talk.put("f", 0x6122, 1, 16777216.0) == 0
     assert talk.put("i", 0x9120, 1, 16777217) == 0x06090030
-    assert talk.put("I", 0x1010, 1, SAVE) == 0
+    assert talk.put("I", 0x1010, 1, rig.SAVE) == 0
     talk.say("> 000#8105\n< 705#00")
-    assert finger(store=store, calibrated=False).get("f", 0x6120, 1) == 0.0
+    assert rig.finger(store=store, calibrated=False).get("f", 0x6120, 1) == 0.0
 
 
 def test_flat_scaling_never_raises() -> None:
     # Equal process values make a gauge that reads the same for ever; the frozen-gauge watch must stand that.
-    talk = finger(calibrated=record(noise_strain=1e-5), load=PUSH)
+    talk = rig.finger(calibrated=rig.record(noise_strain=1e-5), load=rig.PUSH)
     assert talk.put("f", 0x6123, 1, 0.0) == 0
     for _ in range(40):
         pdos = talk.sync()
-    assert pdos.status & FAULT  # the other two are frozen: no noise where 100 counts of it are expected
+    assert pdos.status & rig.FAULT  # the other two are frozen: no noise where 100 counts of it are expected
     assert talk.put("f", 0x6123, 1, 1000.0) == 0
-
-
-def absurd(talk: Finger, rng: random.Random) -> None:
-    """Write a number from the far ends of REAL32 into a random setting; the node may take or refuse it."""
-    number = rng.choice([3.4e38, -3.4e38, 1e-45, -1e-45, 0.0, 1.0, 1e20])
-    talk.put("f", 0x6000 + rng.choice(SETTINGS), rng.randint(1, 3), number)
 
 
 def test_absurd_scaling_and_calibration_never_raise() -> None:
     rng = random.Random(20)
-    talk = finger(load=PUSH)
+    talk = rig.finger(load=rig.PUSH)
     assert talk.put("f", 0x2105, 1, 1e30) == 0
     for k in range(300):
-        absurd(talk, rng)
+        # A number from the far ends of REAL32 in a random setting: the node may take or refuse it.
+        number = rng.choice([3.4e38, -3.4e38, 1e-45, -1e-45, 0.0, 1.0, 1e20])
+        talk.put("f", 0x6000 + rng.choice(SETTINGS), rng.randint(1, 3), number)
         C = [[rng.choice([3.4e38, -3.4e38, 1e-45, 1.0, 0.0]) for _ in range(3)] for _ in range(3)]
-        data = record(C=C, noise_strain=rng.choice([1e-22, 1e-8, 1e18]), tip=(3e38, -3e38, 3e38, 0.0, 0.0, k % 2))
+        data = rig.record(C=C, noise_strain=rng.choice([1e-22, 1e-8, 1e18]), tip=(3e38, -3e38, 3e38, 0.0, 0.0, k % 2))
         talk.stage(data)
         talk.commit()
         talk.put("H", 0x2130, 0, k % 4)
@@ -87,9 +69,16 @@ def test_absurd_scaling_and_calibration_never_raise() -> None:
 @pytest.mark.parametrize("n", [3, 5])
 def test_a_mapping_read_at_once_has_the_values_of_each_entry(n: int) -> None:
     """The default PDOs are packed by one function; it must give what the entries give one by one."""
-    talk, pick = finger(n), random.Random(5)
+    talk, pick = rig.finger(n), random.Random(5)
     od = talk.device.od
-    loads = [PUSH, (0.0, 0.0, 0.0), (40.0, 90.0, 0.0), (1.0, 180.0, 170.0), (30.0, -179.998, -170.0), (25.0, 0.0, 90.0)]
+    loads = [
+        rig.PUSH,
+        (0.0, 0.0, 0.0),
+        (40.0, 90.0, 0.0),
+        (1.0, 180.0, 170.0),
+        (30.0, -179.998, -170.0),
+        (25.0, 0.0, 90.0),
+    ]
     angle = (-180.0, 180.0)
     loads += [(10.0 ** pick.uniform(-3.0, 1.7), pick.uniform(*angle), pick.uniform(*angle)) for _ in range(60)]
     for k, load in enumerate(loads):
@@ -114,20 +103,20 @@ def gauges(n: int) -> list[float]:
 
 @pytest.mark.parametrize("n", [3, 4, 5, 6, 7, 8])
 def test_identity_and_number_of_channels(n: int) -> None:
-    talk = finger(n, load=PUSH)
+    talk = rig.finger(n, load=rig.PUSH)
     assert talk.get("I", 0x1018, 2) == 0x54500100 | n  # bit 8: simulated
     assert talk.get("I", 0x1018, 4) == 4711
     for index, highest in ((0x6130, n + 6), (0x7100, n), (0x6125, n), (0x6139, n + 1), (0x2100, 3 * n), (0x2101, n)):
         assert talk.get("B", index, 0) == highest
     values = talk.channels(n)
     assert values[:n] == pytest.approx(gauges(n), abs=0.051)  # half a count, and what it makes of the angles
-    assert values[n:] == pytest.approx([*F, *PUSH], rel=5e-3, abs=1e-3)
-    assert talk.get("B", 0x2120) == CALIBRATED | CONTACT
+    assert values[n:] == pytest.approx([*F, *rig.PUSH], rel=5e-3, abs=1e-3)
+    assert talk.get("B", 0x2120) == rig.CALIBRATED | rig.CONTACT
 
 
 @pytest.mark.parametrize(("n", "last"), [(5, 5), (8, 6)])
 def test_further_gauges_go_in_further_tpdos(n: int, last: int) -> None:
-    talk = finger(n, load=PUSH)
+    talk = rig.finger(n, load=rig.PUSH)
     assert sorted(talk.frames()) == [0x185, 0x285]
     assert talk.upload(0x1800 + last, 1) == 0x06020000
     for number in range(5, last + 1):
@@ -147,52 +136,35 @@ def test_further_gauges_go_in_further_tpdos(n: int, last: int) -> None:
 
 
 @pytest.mark.parametrize("n", [5, 8])
-def test_more_gauges_make_the_force_more_certain(n: int) -> None:
-    # With C the mean over k gauges the variance of a component is that of one gauge over k.
-    sigma = 1e-6
-    talk = finger(n, calibrated=record(n, noise_strain=sigma), load=(1.0, 90.0, -90.0))
-    talk.frames()
-    per_gauge = [len([None for value in row if value]) for row in matrix(n)]
-    assert talk.get("f", 0x2107, 1) == pytest.approx(sigma * 1e4 / math.sqrt(per_gauge[0]), rel=1e-5)
-
-
-@pytest.mark.parametrize("n", [5, 8])
 def test_offsets_are_taken_off_before_the_matrix(n: int) -> None:
     offsets = [1e-5 * k for k in range(1, n + 1)]
-    talk = finger(n, calibrated=record(n, offsets=offsets), offset_microstrain=[1e6 * value for value in offsets])
+    talk = rig.finger(
+        n, calibrated=rig.record(n, offsets=offsets), offset_microstrain=[1e6 * value for value in offsets]
+    )
     assert struct.unpack("<h", talk.frames()[0x285][:2]) == (0,)
     assert talk.channels(n)[:n] == pytest.approx([1e6 * value for value in offsets], abs=0.01)
 
 
-def test_a_lost_gauge_makes_the_force_less_certain() -> None:
-    talk = finger(5, load=PUSH)
-    talk.frames()
-    whole = talk.get("f", 0x2107, 2)
-    talk.source.offset_microstrain[0] = 5000.0
-    assert struct.unpack_from("<h", talk.frames()[0x285])[0] == pytest.approx(1000, abs=3)
-    assert talk.get("f", 0x2107, 2) > 1.3 * whole  # phi: this load is mostly F3
-
-
 def test_a_broken_wire_costs_its_gauge_alone() -> None:
-    talk = finger(5, load=PUSH)
+    talk = rig.finger(5, load=rig.PUSH)
     talk.break_gauge(2, 4)
     sent = talk.frames()[0x285]
     assert struct.unpack("<h", sent[:2])[0] == pytest.approx(1000, abs=3)
-    assert sent[6] & (SATURATED | FAULT) == SATURATED
+    assert sent[6] & (rig.SATURATED | rig.FAULT) == rig.SATURATED
     assert talk.get("H", 0x2124) == 1 << 3 | 1 << 10
     talk.break_gauge(2, 3)  # the only one that sees F3
     sent = talk.frames()[0x285]
     assert sent[:6] == bytes.fromhex("008000800080")
-    assert sent[6] & FAULT
+    assert sent[6] & rig.FAULT
 
 
 def test_a_frozen_gauge_is_left_out_and_still_shown() -> None:
-    talk = finger(5, calibrated=record(5, noise_strain=1e-6), load=PUSH, noise_microstrain=1.0)
+    talk = rig.finger(5, calibrated=rig.record(5, noise_strain=1e-6), load=rig.PUSH, noise_microstrain=1.0)
     talk.frames()
     talk.break_gauge(1, 5)
     for _ in range(40):
         sent = talk.frames()[0x285]
-    assert sent[6] & (SATURATED | FAULT) == SATURATED
+    assert sent[6] & (rig.SATURATED | rig.FAULT) == rig.SATURATED
     assert talk.get("H", 0x2124) == 1 << 9 | 1 << 4
     assert talk.get("h", 0x7130, 5) != -0x8000
     assert [talk.get("B", 0x6150, sub) for sub in range(1, 6)] == [0, 0, 0, 0, 1]
@@ -200,20 +172,22 @@ def test_a_frozen_gauge_is_left_out_and_still_shown() -> None:
 
 
 def test_condition_limit_counts_for_wide_matrices_as_well() -> None:
-    talk = finger(8)
-    talk.stage(record(8, C=[[1e4] * 8, [1e4] * 7 + [1e4 + 0.5], [0.0, 1e4] * 4]))
+    talk = rig.finger(8)
+    talk.stage(rig.record(8, C=[[1e4] * 8, [1e4] * 7 + [1e4 + 0.5], [0.0, 1e4] * 4]))
     assert talk.commit() == 0x06090031
-    assert talk.upload(0x2140) == record(8)
+    assert talk.upload(0x2140) == rig.record(8)
 
 
 @pytest.mark.parametrize("eds", [b"x", bytes(range(256)) * 40])
 def test_node_gives_its_own_eds(eds: bytes) -> None:
-    source = SimulatedSource(strain_per_newton())
-    talk = Finger(fingertip_node(5, source, eds=eds), source)
+    source = SimulatedSource(rig.strain_per_newton())
+    talk = rig.Finger(fingertip_node(5, source, eds=eds), source)
     assert talk.upload(0x1021) == eds
     assert talk.get("H", 0x1022) == 0
     assert talk.download(0x1021, 0, b"y") == 0x06010002
 
 
 def test_three_gauges_have_four_tpdos_and_a_node_without_room_for_its_eds_no_object_of_it() -> None:
-    assert {finger().upload(*place) for place in ((0x1021, 0), (0x1022, 0), (0x1804, 1), (0x1A04, 1))} == {0x06020000}
+    assert {rig.finger().upload(*place) for place in ((0x1021, 0), (0x1022, 0), (0x1804, 1), (0x1A04, 1))} == {
+        0x06020000
+    }

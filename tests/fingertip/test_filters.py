@@ -12,20 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canopen_device.testing import MemoryStore
-from fingertip.finger import (
-    CALIBRATED,
-    CONTACT,
-    FAULT,
-    LOAD,
-    PUSH,
-    SATURATED,
-    SAVE,
-    STALE,
-    UNKNOWN,
-    Finger,
-    finger,
-    record,
-)  # fmt: skip
+from fingertip import finger as rig
 from tipforce.fingertip import filters
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.source import Reading, Source
@@ -37,13 +24,13 @@ COUNTS = st.lists(st.integers(-(1 << 23), (1 << 23) - 1), min_size=1, max_size=1
 CONSTANT = st.integers(2, 40)
 
 
-def filtered(kind: int, constant: int, **options: object) -> Finger:
-    talk = finger(**options)  # type: ignore[arg-type]
+def filtered(kind: int, constant: int, **options: object) -> rig.Finger:
+    talk = rig.finger(**options)  # type: ignore[arg-type]
     assert talk.put("H", 0x61A1, 1, constant) == talk.put("B", 0x61A0, 1, kind) == 0
     return talk
 
 
-def ramp(talk: Finger) -> None:
+def ramp(talk: rig.Finger) -> None:
     """F1 in newtons is the number of the conversion since a second, divided by 100: gauge 1 in mN is 10 of it."""
     talk.source.forces = lambda now_us: ((now_us - 1_000_000) / 500 / 100, 0.0, 0.0)
 
@@ -118,7 +105,7 @@ def test_every_conversion_goes_in_whenever_the_node_is_stepped(step_us: int) -> 
 
 
 def test_frames_of_a_filtered_node_byte_by_byte() -> None:
-    talk = finger(calibrated=False)
+    talk = rig.finger(calibrated=False)
     talk.source.load = (1.0, 90.0, 0.0)  # F1 = F2 = 1 N: 1000 counts
     talk.say("""
         > 605#2BA1610102000000
@@ -161,18 +148,18 @@ def test_a_change_begins_anew(change: tuple[int, str, int]) -> None:
 
 def test_stored_with_the_application_parameters() -> None:
     store = MemoryStore()
-    assert filtered(MOVING, 6, store=store).put("I", 0x1010, 3, SAVE) == 0
-    again = finger(store=store, calibrated=False)
+    assert filtered(MOVING, 6, store=store).put("I", 0x1010, 3, rig.SAVE) == 0
+    again = rig.finger(store=store, calibrated=False)
     assert [again.get("B", 0x61A0, sub) for sub in (1, 2, 3)] == [MOVING] * 3
     again.source.load = (1.0, 90.0, 0.0)
     assert again.sync(after_us=500).gauges[0] == 500  # one conversion without load, one with
-    assert again.put("I", 0x1011, 3, LOAD) == 0
+    assert again.put("I", 0x1011, 3, rig.LOAD) == 0
     again.say("> 000#8105\n< 705#00")
     assert again.get("B", 0x61A0, 1) == 0
 
 
 def test_a_store_with_a_filter_that_is_not_offered_gives_none() -> None:
-    talk = finger()
+    talk = rig.finger()
     for sub, kind in ((1, MOVING), (2, IIR), (3, 0)):
         talk.device.od.values[0x61A000 | sub] = kind
         talk.device.od.values[0x61A100 | sub] = 65535
@@ -182,17 +169,17 @@ def test_a_store_with_a_filter_that_is_not_offered_gives_none() -> None:
 
 
 def test_saturation_within_a_block_shows_before_the_block_ends_and_the_block_begins_anew() -> None:
-    talk = filtered(REPEATING, 100, load=PUSH)
+    talk = filtered(REPEATING, 100, load=rig.PUSH)
     talk.advance(120_000)
     clean = talk.sync()
-    assert not clean.status & STALE
+    assert not clean.status & rig.STALE
     talk.source.fault, talk.source.fault_gauge = AT_THE_END, 2
-    assert talk.sync().status & (STALE | SATURATED) == STALE | SATURATED
+    assert talk.sync().status & (rig.STALE | rig.SATURATED) == rig.STALE | rig.SATURATED
     assert talk.get("H", 0x2124) == 2
     talk.source.fault = 0
     talk.sync()
     talk.advance(48_000)  # 98 clean conversions
-    assert talk.sync(after_us=0).status & STALE
+    assert talk.sync(after_us=0).status & rig.STALE
     talk.advance(2_000)
     assert talk.sync(after_us=0)[:3] == clean[:3]
 
@@ -209,28 +196,28 @@ def test_no_live_value_holds_a_bad_conversion(data: st.DataObject) -> None:
     seen = set()
     for _ in range(data.draw(st.integers(1, 40))):
         seen.add(talk.sync(after_us=data.draw(st.integers(0, 3000))).gauges[0])
-    assert seen <= {UNKNOWN, 32767, 500}
+    assert seen <= {rig.UNKNOWN, 32767, 500}
 
 
 def test_with_more_gauges_the_others_stay_filtered_while_one_is_lost() -> None:
-    talk = filtered(MOVING, 50, n=4, calibrated=record(4), noise_microstrain=3.0)
+    talk = filtered(MOVING, 50, n=4, calibrated=rig.record(4), noise_microstrain=3.0)
     talk.source.fault, talk.source.fault_gauge = AT_THE_END, 4
     values = []
     for _ in range(200):
         pdos = talk.sync(after_us=500)
-        assert pdos.status & SATURATED
+        assert pdos.status & rig.SATURATED
         values.append(pdos.gauges[0])
     assert np.std(values[60:]) < 30 / math.sqrt(50) * 2.5  # 30 counts unfiltered
 
 
 def test_frozen_gauge_is_found_by_raw_counts() -> None:
-    talk = filtered(MOVING, 16, calibrated=record(noise_strain=5e-7), load=PUSH, noise_microstrain=0.5)
+    talk = filtered(MOVING, 16, calibrated=rig.record(noise_strain=5e-7), load=rig.PUSH, noise_microstrain=0.5)
     for _ in range(100):
-        assert not talk.sync().status & FAULT
+        assert not talk.sync().status & rig.FAULT
     talk.source.fault, talk.source.fault_gauge = STUCK, 1
-    assert [talk.sync(after_us=500).status & FAULT for _ in range(40)] == [0] * 31 + [FAULT] * 9
+    assert [talk.sync(after_us=500).status & rig.FAULT for _ in range(40)] == [0] * 31 + [rig.FAULT] * 9
     talk.source.fault = 0
-    assert talk.sync().status & (FAULT | CALIBRATED | CONTACT) == CALIBRATED | CONTACT
+    assert talk.sync().status & (rig.FAULT | rig.CALIBRATED | rig.CONTACT) == rig.CALIBRATED | rig.CONTACT
 
 
 def test_silence_and_sleep_end_an_average() -> None:
@@ -238,8 +225,8 @@ def test_silence_and_sleep_end_an_average() -> None:
     for _ in range(100):
         talk.sync()
     talk.source.fault = SILENT
-    assert talk.sync().status & (STALE | FAULT) == STALE
-    assert talk.sync(after_us=100_000).status & (STALE | FAULT) == STALE | FAULT
+    assert talk.sync().status & (rig.STALE | rig.FAULT) == rig.STALE
+    assert talk.sync(after_us=100_000).status & (rig.STALE | rig.FAULT) == rig.STALE | rig.FAULT
     talk.source.load = (0.0, 0.0, 0.0)
     talk.source.fault = 0
     assert talk.sync().gauges == (0, 0, 0)
@@ -281,7 +268,7 @@ def test_a_source_that_does_not_say_when_it_converts() -> None:
 
 def test_without_sync_a_slow_output_is_read_as_known() -> None:
     """Between two averages there is nothing newer to read: only a SYNC says stale, or a front end that is silent."""
-    talk = filtered(REPEATING, 1000, load=PUSH)  # one each 0.5 s
+    talk = filtered(REPEATING, 1000, load=rig.PUSH)  # one each 0.5 s
     assert math.isnan(talk.get("f", 0x6130, 1))
     talk.advance(600_000)
     for _ in range(20):
@@ -293,12 +280,12 @@ def test_without_sync_a_slow_output_is_read_as_known() -> None:
 
 
 def test_without_a_filter_a_slow_converter_is_neither_stale_nor_silent() -> None:
-    talk = finger(load=PUSH)
+    talk = rig.finger(load=rig.PUSH)
     assert talk.put("I", 0x6114, 1, 1_000_000) == 0
     talk.now_us = 2_000_000
     talk.step()
-    assert not talk.sync(after_us=100).status & STALE
-    assert talk.sync(after_us=300_000).status & (STALE | FAULT) == STALE  # not a fault: none was due
+    assert not talk.sync(after_us=100).status & rig.STALE
+    assert talk.sync(after_us=300_000).status & (rig.STALE | rig.FAULT) == rig.STALE  # not a fault: none was due
     talk.now_us = 3_400_000
     assert talk.get("f", 0x6130, 7) == pytest.approx(1.0, abs=2e-3)
     talk.advance(500_000)

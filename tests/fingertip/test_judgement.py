@@ -64,15 +64,6 @@ def test_a_gauge_that_contradicts_two_others_is_left_out() -> None:
     assert talk.get("I", 0x1003, 2) == 0x0C045030
 
 
-def test_four_gauges_detect_and_isolate_nothing() -> None:
-    talk = redundant(4)
-    assert talk.frames()[0x285][6] == CALIBRATED | CONTACT
-    drift(talk, 0, 50.0)
-    assert talk.frames()[0x285][6] == CALIBRATED | FAULT
-    drift(talk, 2, 50.0)  # gauge 3 alone sees F3: its fault is a force to whoever looks
-    assert talk.frames()[0x285][6] & FAULT == 0
-
-
 def test_the_limit_allows_for_the_model() -> None:
     """One per cent of 100 microstrain is 1 microstrain: what was a contradiction is within the model then."""
     for model, faults in ((0.0, CONTRADICTION), (0.2, 0)):

@@ -240,13 +240,8 @@ def calibration_scaling_points_equal() -> Observed:
     scaling stays"""
     finger = rig.finger(load=rig.PUSH)
     before, aborts = finger.sync(), []
-    forms = (
-        indices.SCALING_2_FIELD,
-        indices.SCALING_2_FIELD + table.INT16_FORM,
-        indices.SCALING_2_FIELD + table.INT32_FORM,
-    )
-    for kind, index in zip("fhi", forms, strict=True):
-        aborts.append(finger.put(kind, index, 1, 0))
+    for kind, form in (("f", 0), ("h", table.INT16_FORM), ("i", table.INT32_FORM)):
+        aborts.append(finger.put(kind, indices.SCALING_2_FIELD + form, 1, 0))
     after = finger.sync()
     held = aborts == [codes.INVALID_VALUE] * 3 and after[:3] == before[:3]
     return held, f"{', '.join(f'{abort:08X}h' for abort in aborts)}; SG1 stays {after.gauges[0] / 10:g}"

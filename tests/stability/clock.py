@@ -229,10 +229,8 @@ def clock_sync_twice_rate() -> Observed:
     counts = decoder.unwrap_counter([one.counter for one in found])
     repeats = (np.diff(counts) == 0).tolist() == stale[1:]
     alternate = all(one != other for one, other in itertools.pairwise(stale))
-    return (
-        hushed and right and repeats and alternate,
-        f"{sum(stale)} of 200 stale, counter advances by {counts[-1] - counts[0]}",
-    )
+    held = hushed and right and repeats and alternate
+    return held, f"{sum(stale)} of 200 stale, counter advances by {counts[-1] - counts[0]}"
 
 
 def clock_sync_burst() -> Observed:

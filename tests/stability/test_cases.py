@@ -56,7 +56,6 @@ def test_rows() -> None:
     assert list(RECORD) == list(CASES), "make report writes the record"
     assert len(found) > 100
     for case in found:
-        assert case.outcome in OUTCOMES
         assert "." in case.key
         assert case.situation
         assert case.claim

@@ -39,9 +39,8 @@ def uncertainty_enormous_noise() -> Observed:
     f1, f2, f3 = F.tolist()
     node = []
     for variance in (noise * noise).tolist():
-        u_P, _, u_theta = scalar_uncertainty.uncertainty(
-            f1, f2, f3, (variance, 0.0, 0.0, variance, 0.0, variance), False
-        )
+        covariance = variance, 0.0, 0.0, variance, 0.0, variance
+        u_P, _, u_theta = scalar_uncertainty.uncertainty(f1, f2, f3, covariance, False)
         bits = scalar.status_bits(1.0, u_P, u_theta, 0.0, 0.0, 0.1, _LIMITS, True)
         node.append(bool(bits & scalar.THETA_UNRESOLVED))
     grows = bool((np.diff(u[:, 2]) > 0.0).all())
@@ -55,8 +54,7 @@ def uncertainty_node_enormous_noise() -> Observed:
     """a node whose gauge noise is 100 times the load -> flagged: status bit 4 is set, theta is unknown, 2107h has u_P;
     2123h is at its limit, 65.534 N"""
     sigma = 100.0 * 1e-4  # strain: 100 N
-    variance = [sigma**2 if i == k else 0.0 for i in range(3) for k in range(i, 3)]
-    finger = rig.finger(load=rig.PUSH, calibrated=rig.record(variance=variance))
+    finger = rig.finger(load=rig.PUSH, calibrated=rig.record(noise_strain=sigma))
     found, u_P = finger.sync(), finger.get("f", indices.UNCERTAINTY, 1)
     flagged = bool(found.status & scalar.THETA_UNRESOLVED) and found.contact[2] == rig.UNKNOWN
     held = flagged and abs(u_P / 100.0 - 1.0) < 1e-5 and finger.get("H", indices.U_P) == 65534

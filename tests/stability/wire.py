@@ -87,14 +87,10 @@ def wire_integer16_overflow() -> Observed:
     for F1 in (32.766, 33.0, 45.0, -32.766, -33.0, -45.0):
         finger.source.forces = lambda _now, F1=F1: (0.2 * F1, 0.0, -0.2)
         finger.sync()
-        exact, short = (
-            finger.get("f", indices.PROCESS_VALUE, 4),
-            finger.get("h", indices.PROCESS_VALUE + table.INT16_FORM, 4),
-        )
-        long, status = (
-            finger.get("i", indices.PROCESS_VALUE + table.INT32_FORM, 4),
-            int(finger.get("B", indices.CHANNEL_STATUS, 4)),
-        )
+        exact = finger.get("f", indices.PROCESS_VALUE, 4)
+        short = finger.get("h", indices.PROCESS_VALUE + table.INT16_FORM, 4)
+        long = finger.get("i", indices.PROCESS_VALUE + table.INT32_FORM, 4)
+        status = int(finger.get("B", indices.CHANNEL_STATUS, 4))
         inside = abs(exact) <= 32.767
         held &= abs(exact - F1) < 5e-3 and abs(long - 1000.0 * exact) <= 0.51
         held &= short == (round(long) if inside else math.copysign(32767, F1))

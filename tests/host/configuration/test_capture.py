@@ -20,7 +20,6 @@ from tipforce.sources.simulated import OPEN, SATURATED, SILENT
 
 LOAD = (4.4, 90.0, 45.0)
 EXPECTED = strain_matrix(FABRICATED, "I") @ force_vector(4.4, np.pi / 2, np.pi / 4) * 1e6
-MORE = ("K_H", "S_H", "U", "L", "R")
 NO_PDO = 0xC0000185
 
 

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 
 from canopen_device.core.node import Device
+from canopen_device.testing import MemoryStore
 from host.bus_with_nodes import beam_calibration
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import write_calibration
@@ -57,7 +58,7 @@ class Line:
 
     def __init__(self, node_ids: Sequence[int]) -> None:
         self.now_us = 1_000_000
-        self.stores: dict[int, dict[str, bytes]] = {n: {} for n in node_ids}
+        self.stores = {n: MemoryStore() for n in node_ids}
         self.devices: dict[int, Device] = {}
         self.sources: dict[int, SimulatedSource] = {}
         self.host: list[tuple[int, int, bytes]] = []
@@ -77,12 +78,7 @@ class Line:
         """Power a node of this serial, with what it stored."""
         source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist())
         store = self.stores[serial]
-
-        def save(name: str, data: bytes) -> bool:
-            store[name] = data
-            return True
-
-        node = fingertip_node(node_id or serial, source, serial=serial, save=save, load=store.get)
+        node = fingertip_node(node_id or serial, source, serial=serial, save=store.save, load=store.load)
         self.devices[serial], self.sources[serial] = node, source
         self._step(serial, [])
 

@@ -232,7 +232,7 @@ def test_a_finger_that_loses_power_is_set_up_again(tmp_path: Path, forgets: bool
         assert hand.is_shown(1)
         assert all(rows.reason[:, 1].all() and np.isnan(rows.columns["P"][:, 1]).all() for rows in hand.rows)
         if forgets:
-            hand.line.stores[2].clear()
+            hand.line.stores[2].groups.clear()
         hand.line.switch_on(2, 255 if forgets else 2)
         hand.line.run(5.0)
         steps = ["boot_up", *(["assigned"] if forgets else []), "calibrated", "started"]

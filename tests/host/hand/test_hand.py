@@ -171,21 +171,13 @@ def test_an_interruption_is_no_jitter_and_a_gap_is() -> None:
 
 
 def test_the_thread_sends_as_many_as_it_should() -> None:
-    enough = threading.Event()
-    sent = []
-
-    def send(_data: bytes) -> None:
-        sent.append(0)
-        if len(sent) == 20:
-            enough.set()
-
-    sync = ThreadSync(send, 0.002)
-    assert enough.wait(10)
+    sent = threading.Semaphore(0)
+    sync = ThreadSync(lambda _data: sent.release(), 0.002)
+    assert all(sent.acquire(timeout=10) for _ in range(20))
     sync.stop()
-    count = len(sent)
-    enough.clear()
-    assert not enough.wait(0.02)
-    assert len(sent) == count
+    while sent.acquire(blocking=False):
+        pass
+    assert not sent.acquire(timeout=0.02)
 
 
 def test_a_bus_that_refuses_ends_it_and_a_slow_one_loses_syncs() -> None:

@@ -340,28 +340,6 @@ def test_a_finger_that_may_send_anothers_pdo_hides_the_other() -> None:
     assert stream.reasons == [[CHANGED, CHANGED, PRESENT]]
 
 
-@pytest.mark.parametrize("numbered", [True, False])
-@given(
-    st.lists(st.tuples(st.booleans(), st.booleans(), st.permutations([0, 1])), max_size=30),
-    st.lists(st.integers(1, 9), min_size=1, max_size=30),
-)
-def test_however_the_stream_is_cut(numbered: bool, plan: list[tuple[bool, bool, list[int]]], cuts: list[int]) -> None:
-    frames, expected = [], []
-    for k, (first, second, order) in enumerate(plan, start=1):
-        answers = [answer(1, k, k) if first else None, answer(2, k, 500 + k) if second else None]
-        frames += [sync(k) if numbered else SYNC, *(a for a in (answers[i] for i in order) if a is not None)]
-        expected.append([k / 1000 if first else None, (500 + k) / 1000 if second else None])
-    stream = Stream(1, 2, wait_s=1e6)
-    stream.feed(frames, cuts)
-    stream.now_s = 2e6
-    stream.add()
-    found = [[None if np.isnan(v) else round(v, 3) for v in row] for _, row in stream.rows]
-    assert found == expected
-    assert [number for number, _ in stream.rows] == list(range(len(stream.rows)))
-    assert stream.collector.tally.missing.tolist() == [sum(row[k] is None for row in expected) for k in (0, 1)]
-    assert stream.collector.tally.late.tolist() == [0, 0]
-
-
 def faulty_frames(seed: int, numbered: bool) -> list[tuple[int, bytes]]:
     """SYNCs and answers of two fingers with lost, doubled, late, stale and foreign ones; the counters wrap."""
     pick = random.Random(seed)

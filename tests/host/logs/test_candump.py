@@ -123,12 +123,6 @@ def test_other_writers_of_the_log_format() -> None:
     assert block.frames["can_id"][3] == 0x123 | REMOTE_FLAG
 
 
-def test_too_many_interfaces_are_refused() -> None:
-    parser = CandumpParser()
-    block = block_of_text("\n".join(f"(1700000000.123456) name{k} 123#" for k in range(5000)), parser)
-    assert (len(block.names), parser.notes.bad) == (256, {"interface": 4744})
-
-
 def _at_most(stream: io.BytesIO, size: int, _count: int) -> bytes:
     return stream.read(size)
 

@@ -235,13 +235,6 @@ def test_a_fraction_has_digits_only(character: str) -> None:
         assert sum(in_bulk([text]).notes.bad.values()) == 1
 
 
-def test_deltas_add_up_across_blocks() -> None:
-    lines = [f" (000.{k:06d})  can0  181   [1]  07" for k in range(100)]
-    blocks = ["".join(line + "\n" for line in part).encode() for part in (lines[:40], lines[40:])]
-    found = in_bulk(blocks, deltas=True)
-    assert [frame[0] for frame in found.frames] == [k * (k + 1) // 2 * 1000 for k in range(100)]
-
-
 def test_many_shapes_of_lines() -> None:
     text = "".join(f"(1700000000.{k:06d}) {'n' * (k % 15 + 1)}{k % 10} {k:03X}#{k:02X}\n" for k in range(256)).encode()
     assert in_bulk([text]) == line_by_line(text)

@@ -7,7 +7,6 @@ import threading
 from collections.abc import Iterator
 
 import can
-import numpy as np
 import pytest
 
 from canopen_device.core import codes
@@ -17,7 +16,7 @@ from host.bus_with_nodes import FaultyBus, beam_calibration, connected, finger, 
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
-from tipforce.host.frames.frame_array import FrameBuffer, frame_array
+from tipforce.host.frames.frame_array import FrameBuffer
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.find import FoundNode, find_nodes
 from tipforce.host.network.finger import Identity
@@ -75,13 +74,6 @@ def test_a_full_buffer_drops_the_oldest_and_counts_them() -> None:
     assert kept == list(range(25 - len(kept), 25))
     assert len(kept) <= 10
     assert buffer.dropped == 25 - len(kept)
-
-
-def test_frame_array_of_nothing_and_of_short_data() -> None:
-    assert frame_array([]).shape == (0,)
-    (row,) = frame_array([(7, 0x181, b"\1\2")])
-    assert (row["t_ns"], row["can_id"], row["length"]) == (7, 0x181, 2)
-    np.testing.assert_array_equal(row["data"], [1, 2, 0, 0, 0, 0, 0, 0])
 
 
 @pytest.mark.parametrize(

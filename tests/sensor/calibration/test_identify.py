@@ -4,7 +4,6 @@ import re
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from bench.honesty import INVISIBLE, Rig, cells, drifting, false_alarms, row_of, verdict
 
@@ -24,7 +23,6 @@ from tipforce.sensor.structure.layouts import layout
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce_lab.report.studies.honesty import GAUGES
 
-FloatArray = npt.NDArray[np.float64]
 A = strain_matrix(FABRICATED, "I")
 QUADRANT = [(0, theta) for theta in (5, 15, 30, 45, 60)] + [(90, theta) for theta in (30, 45, 60, 75, 90)]
 TARE = [(0.0, 0, 0)]

@@ -1,6 +1,5 @@
 """More than three gauges: the weighted inverse and back, subsets, chi-square, isolation; numpy against scalar."""
 
-from itertools import combinations
 from math import inf, isnan, nan
 from typing import Any
 
@@ -115,18 +114,6 @@ def test_six_gauges_three_a_beam_isolate_every_one() -> None:
         V = A @ force_vector(2.0, 1.0, 1.3) + SIGMA * rng.normal(size=(2000, 6))
         V[:, k] += 60.0 * SIGMA
         assert np.mean(detect(model, V).isolated == k) > 0.98
-
-
-@pytest.mark.parametrize("n", [4, 5, 6])
-def test_gauges_are_alike_exactly_where_the_others_have_no_rank_3(n: int) -> None:
-    # The thin limit makes exact ranks; noise does not matter, as the two seeds show.
-    rows = np.array([[1, -2, 0], [1, 2, 0], [0, 1.5, -1.5], [-1, 1, 0], [0, -1.5, 1.5], [0, 1.5, -0.75]][:n])
-    for seed in (1, 2):
-        covariance = correlated(n, seed)
-        model = parity(weighted_inverse(rows * 1e-4, covariance), covariance)
-        pairs = [(int(i), int(k)) for i, k in combinations(np.flatnonzero(model.visible), 2)]
-        expected = [pair for pair in pairs if np.linalg.matrix_rank(np.delete(rows, pair, axis=0)) < 3]
-        assert [pair for pair in alike(model) if pair in pairs] == expected
 
 
 def test_four_gauges_isolate_nothing() -> None:

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
 
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.first_order_hold import Hold, at_rest, energy, hold, respond
@@ -18,11 +17,10 @@ from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.plane_frame import Frame, closing_load, slit_closure
 from tipforce_lab.dynamics import integrators
 from tipforce_lab.dynamics.impact import Striker, impact, overload
-from tipforce_lab.dynamics.switched import exponential, slit_stop
+from tipforce_lab.dynamics.switched import slit_stop
 
 DAMPING = [0.0, 0.01, 0.3, 0.999999, 1.0, 1.0000001, 1.4, 1.5000001, 2.0, 50.0]
 damping = st.one_of(st.sampled_from(DAMPING), st.floats(0.0, 50.0))
-exponents = st.floats(-9.0, 9.0)
 BODY = modes(FABRICATED)
 STIFF = modes(FABRICATED, beam_density_kg_m3=7850.0)
 F = np.array([1.0, 0.5, -0.3])
@@ -235,14 +233,6 @@ def test_an_impact_closes_the_slit_and_loses_nothing() -> None:
     for a, b in zip(left, right, strict=True):  # a blow on the top is symmetric
         assert a.begin_s == pytest.approx(b.begin_s, rel=1e-12)
         assert a.peak_newtons == pytest.approx(b.peak_newtons, rel=1e-9)
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.floats(-12.0, 3.0))
-def test_the_matrix_exponential_is_scipys(seed: int, exponent: float) -> None:
-    A = np.random.default_rng(seed).normal(size=(6, 6))
-    A = (A - A.T) * 10.0**exponent
-    np.testing.assert_allclose(exponential(A), expm(A), rtol=0.0, atol=1e-13 * max(1.0, 10.0**exponent))
 
 
 def test_runs_out_of_range_are_refused() -> None:

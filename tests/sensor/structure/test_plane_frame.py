@@ -40,7 +40,6 @@ ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
 """All dimensions different, so that no symbol can stand in for another."""
 ROW = {point: index for index, point in enumerate(POINTS)}
 Z_LOADS = off_axis.off_axis_wrenches(FABRICATED, np.radians(np.arange(0.0, 181.0, 5.0)))
-OFF_CENTRE = off_axis.off_centre_wrenches(np.radians(np.arange(0.0, 360.0, 5.0)), 1e-3)
 
 
 def thin(h1_m: float) -> Geometry:
@@ -176,14 +175,6 @@ def test_planar_part_is_table_1_made_continuous(geometry: Geometry, warping_held
     np.testing.assert_allclose(found, expected, atol=1e-13 * np.abs(expected).max())
 
 
-def test_centred_axial_gauges_see_nothing_out_of_the_plane() -> None:
-    for held in (False, True):
-        matrix = off_axis.wrench_strain_matrix(FABRICATED, at(*POINTS), warping_held=held)
-        assert np.abs(matrix[:, 2:5]).max() <= 1e-15 * np.abs(matrix).max()
-        for loads in (Z_LOADS, OFF_CENTRE):
-            assert off_axis.apparent_force(FABRICATED, "I", loads, warping_held=held).norm_newtons < 1e-12
-
-
 def test_bending_along_z_by_hand() -> None:
     """The fixture end carries 1 N at the top of the tip with the whole lever."""
     z, E, b = 1e-3, FABRICATED.youngs_modulus_pascals, FABRICATED.width_m
@@ -243,13 +234,13 @@ def test_held_warping_against_a_plate() -> None:
     decay, GJ = b * sqrt((1.0 + nu) / 24.0), 2.0 * (1.0 - nu) * b  # per plate stiffness D
     torque, strain = _twisted_plate(L, b, nu)
     assert torque == pytest.approx(GJ / (L - 2.0 * decay * np.tanh(0.5 * L / decay)), rel=0.03)
-    mean = float(np.mean([strain(s, z) for s in np.linspace(0.0, 1.0, 41)])) / torque
     s = np.linspace(0.0, 1.0, 41)
+    mean = float(strain(s, z).mean()) / torque
     bent = (np.exp(-s / decay) - np.exp((s - L) / decay)) / (1.0 + exp(-L / decay)) / decay
     assert mean == pytest.approx(float(bent.mean()) * z / GJ, rel=0.12)
 
 
-def _twisted_plate(L: float, b: float, nu: float) -> tuple[float, Callable[[float, float], float]]:
+def _twisted_plate(L: float, b: float, nu: float) -> tuple[float, Callable[[FloatArray, float], FloatArray]]:
     """Torque per unit rotation of one end (over D), and the curvature w_xx at (x, z): both ends hold the warping."""
     points, weights = np.polynomial.legendre.leggauss(40)
     x, z = 0.5 * L * (points + 1.0), 0.5 * b * points
@@ -267,10 +258,9 @@ def _twisted_plate(L: float, b: float, nu: float) -> tuple[float, Callable[[floa
         product: FloatArray = np.outer(along, widths * (0.5 * b) ** (1 - dz))
         return product
 
-    def curvature(at_x: float, at_z: float) -> float:
-        return float(
-            sum(k * second(s, 2, np.array([at_x]), np.array([at_z])) for k, s in zip(c, basis, strict=True))[0, 0]
-        )
+    def curvature(at_x: FloatArray, at_z: float) -> FloatArray:
+        along: FloatArray = np.array([second(shape, 2, at_x, np.array([at_z]))[:, 0] for shape in basis])
+        return c @ along
 
     xx, xz, zz = (np.array([second(shape, dx, x, z) for shape in basis]) for dx in (2, 1, 0))
 
