@@ -193,8 +193,7 @@ class SdoServer(Timed):
                 self.sink = sink
         elif not abort:
             self._buffer = bytearray()
-            if size is not None and size > self._limit():
-                abort = codes.TOO_LONG
+            abort = codes.TOO_LONG if size is not None and size > self._limit() else 0
         if abort:
             self.abort(abort)
         return not abort
