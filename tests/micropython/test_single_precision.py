@@ -4,7 +4,6 @@ The WebAssembly build of MicroPython has doubles. With numpy.float32 in place of
 to single precision, literals included; asin, atan2 and sqrt are rounded from double, which no real library beats.
 """
 
-import math
 import random
 import struct
 from collections.abc import Iterator
@@ -22,14 +21,15 @@ from tipforce.fingertip.node import Fingertip
 from tipforce.sensor.contact import scalar, scalar_uncertainty
 
 single = np.float32
-_FUNCTIONS = ("asin", "atan2", "sqrt", "ldexp")
+_FUNCTIONS, _CONSTANTS = ("asin", "atan2", "sqrt", "ldexp"), ("pi", "TWO_PI", "DEGREES")
 
 
 @contextmanager
 def single_functions() -> Iterator[None]:
-    """The scalar modules of ``sensor.contact`` compute in single precision on what is single."""
-    modules = scalar, scalar_uncertainty
-    kept = [dict(vars(module)) for module in modules]
+    """What a node computes by these modules is in single precision on what is single."""
+    names = (*_FUNCTIONS, *_CONSTANTS)
+    modules = (scalar, scalar_uncertainty)
+    kept = [(module, name, vars(module)[name]) for module in modules for name in names if name in vars(module)]
 
     def rounded(function: Any) -> Any:
         def call(*args: float) -> np.float32:
@@ -38,16 +38,13 @@ def single_functions() -> Iterator[None]:
         return call
 
     try:
-        for module, names in zip(modules, kept, strict=True):
-            for name in names.keys() & set(_FUNCTIONS):
-                setattr(module, name, rounded(getattr(math, name)))
-            for name in names.keys() & {"pi", "TWO_PI", "DEGREES"}:
-                setattr(module, name, single(names[name]))
+        for module, name, value in kept:
+            setattr(module, name, rounded(value) if name in _FUNCTIONS else single(value))
         with np.errstate(all="ignore"):
             yield
     finally:
-        for module, names in zip(modules, kept, strict=True):
-            vars(module).update(names)
+        for module, name, value in kept:
+            setattr(module, name, value)
 
 
 def make_single(device: Device) -> Fingertip:

@@ -93,8 +93,7 @@ class HeartbeatConsumer(Timed):
 
     def forget(self) -> None:
         """Reset all monitoring."""
-        self._deadlines = {}
-        self._lost = []
+        self._deadlines, self._lost = {}, []
         self.reset()
 
     def routes(self) -> "list[tuple[int, Callable[[bytes], None]]]":

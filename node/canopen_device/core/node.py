@@ -52,10 +52,8 @@ class Nmt:
         command = data[0]
         if command in _STATE_AFTER:
             self.enter(_STATE_AFTER[command])
-        elif command == codes.NMT_RESET_NODE:
-            self._device.reset(True)
-        elif command == codes.NMT_RESET_COMMUNICATION:
-            self._device.reset(False)
+        elif command in (codes.NMT_RESET_NODE, codes.NMT_RESET_COMMUNICATION):
+            self._device.reset(command == codes.NMT_RESET_NODE)
 
     def enter(self, state: int) -> None:
         """Change the state and notify the services that depend on it."""
@@ -246,8 +244,7 @@ class Device:
             for can_id in self.tpdos.can_ids() + own:
                 routes[can_id] = self.bus_faults.collision(can_id)
             routes[codes.HEARTBEAT_BASE + self.node_id | codes.REMOTE_FLAG] = self.guarding.receive
-            for can_id, handler in self.heartbeat_consumer.routes():
-                routes[can_id] = handler
+            routes.update(self.heartbeat_consumer.routes())
             if self.nmt.state == codes.OPERATIONAL:
                 for can_id in self.rpdos.can_ids():
                     routes[can_id] = lambda data, can_id=can_id: self.rpdos.receive(can_id, data)  # type: ignore[misc]
@@ -258,11 +255,8 @@ class Device:
                 routes[codes.SDO_REQUEST_BASE + self.node_id] = self.sdo.receive
             routes[codes.NMT_COB_ID] = self.nmt.receive
         if self.has_lss:
-            routes[codes.LSS_REQUEST_COB_ID] = self._lss_request
+            routes[codes.LSS_REQUEST_COB_ID] = lambda data: self.lss.receive(data)  # noqa: PLW0108 loaded then
         self._routes = routes
-
-    def _lss_request(self, data: bytes) -> None:
-        self.lss.receive(data)
 
     def _restart(self, whole: bool) -> None:
         self.nmt.state = codes.INITIALISING

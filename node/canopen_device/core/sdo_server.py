@@ -62,10 +62,13 @@ class SdoServer(Timed):
             self._begin(specifier, data)
         elif specifier == _ABORT:
             self.reset()
-        elif self._transfer == _DOWNLOAD and specifier == _DOWNLOAD_SEGMENT:
-            self._download_segment(data)
-        elif self._transfer == _UPLOAD and specifier == _UPLOAD_SEGMENT:
-            self._upload_segment(data)
+        elif (self._transfer, specifier) in ((_DOWNLOAD, _DOWNLOAD_SEGMENT), (_UPLOAD, _UPLOAD_SEGMENT)):
+            if data[0] >> 4 & 1 != self._toggle:
+                self.abort(codes.TOGGLE)
+            elif specifier == _DOWNLOAD_SEGMENT:
+                self._download_segment(data)
+            else:
+                self._upload_segment()
         else:
             if self._transfer == _IDLE:
                 # No transfer is active: respond with the multiplexer of the request.
@@ -157,10 +160,7 @@ class SdoServer(Timed):
             self._transfer, self._buffer = _UPLOAD, data
             self.answer(self.head(0x41) + struct.pack("<I", len(data)))
 
-    def _upload_segment(self, data: bytes) -> None:
-        if data[0] >> 4 & 1 != self._toggle:
-            self.abort(codes.TOGGLE)
-            return
+    def _upload_segment(self) -> None:
         part = bytes(self._buffer[self._offset : self._offset + 7])
         self._offset += len(part)
         last = self._offset >= len(self._buffer)
@@ -193,8 +193,7 @@ class SdoServer(Timed):
                 self.sink = sink
         elif not abort:
             self._buffer = bytearray()
-            if size is not None and size > self._limit():
-                abort = codes.TOO_LONG
+            abort = codes.TOO_LONG if size is not None and size > self._limit() else 0
         if abort:
             self.abort(abort)
         return not abort
@@ -209,9 +208,6 @@ class SdoServer(Timed):
         self._finish(self._device.od.download(self._index, self._sub, data[4 : 4 + length]), self.head(0x60))
 
     def _download_segment(self, data: bytes) -> None:
-        if data[0] >> 4 & 1 != self._toggle:
-            self.abort(codes.TOGGLE)
-            return
         part = data[1 : 8 - (data[0] >> 1 & 7)]
         self._offset += len(part)
         confirmation = bytes((0x20 | self._toggle << 4,))

@@ -72,8 +72,7 @@ class Storage:
         for sub in sorted(self._groups):
             if subs is None or sub in subs:
                 name, _dump, restore = self._groups[sub]
-                if name in self.damaged:
-                    self.damaged.remove(name)
+                self.damaged = [other for other in self.damaged if other != name]
                 data = self.read_blob(name)
                 if data is None:
                     self.damaged.append(name)

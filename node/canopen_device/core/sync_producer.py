@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from .node import Device
     from .object_dictionary import Value
 
-_FIRST_OVERFLOW, _LAST_OVERFLOW = 2, 240
-
 
 class SyncProducer(Timed):
     """Send SYNC every 1006h microseconds in PRE-OPERATIONAL and OPERATIONAL; this device's own PDOs follow it."""
@@ -73,4 +71,4 @@ class SyncProducer(Timed):
     def _write_overflow(self, _sub: int, value: "Value") -> int:
         if self._device.od.integer(communication.SYNC_PERIOD):
             return codes.DEVICE_STATE  # 7.5.2.22
-        return 0 if value == 0 or _FIRST_OVERFLOW <= int(value) <= _LAST_OVERFLOW else codes.INVALID_VALUE
+        return 0 if value == 0 or 2 <= int(value) <= codes.LAST_SYNCHRONOUS else codes.INVALID_VALUE

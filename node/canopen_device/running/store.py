@@ -46,8 +46,7 @@ class FileStore:
         try:
             slots = self._slots()
             newest = _newest(slots)
-            groups = dict(newest.groups) if newest is not None else {}
-            groups[group] = data.hex()
+            groups = {**(newest.groups if newest is not None else {}), group: data.hex()}
             sequences = {slot.path: slot.sequence if slot.sound else 0 for slot in slots}
             # The missing slot is replaced, else a damaged one, else the older one.
             target = min(self._paths, key=lambda path: sequences.get(path, -1))

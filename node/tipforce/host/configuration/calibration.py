@@ -217,8 +217,7 @@ class Calibration:
                 raise InputError(f"calibration {of.name}: {values.min():g}, allowed is 0 (not known) and above")
         for low, high in ((names[a], names[b]) for a, b in table.IN_ORDER):
             if getattr(self, low) > getattr(self, high):
-                text = f"{getattr(self, low):g} is above {high} {getattr(self, high):g}"
-                raise InputError(f"calibration {low}: {text}")
+                raise InputError(f"calibration {low}: {getattr(self, low):g} is above {high} {getattr(self, high):g}")
 
     @property
     def gauges(self) -> int:

@@ -45,21 +45,19 @@ class FitTable(msgspec.Struct):
         S, N, whole = (
             None if rows is None else _matrix(name, rows) for name, rows in msgspec.structs.asdict(self).items()
         )
-        if whole is None and (S is None or N is None):
-            raise InputError(
-                "fit: parameter_covariance_microstrain2 is missing, or in its place "
-                "residual_covariance_microstrain2 and normal_matrix"
-            )
         shapes = ((n, n),), ((4, 4), (3, 3)), ((4 * n, 4 * n),)
         for name, matrix, allowed in zip(self.__struct_fields__, (S, N, whole), shapes, strict=True):
             if matrix is not None and (matrix.shape not in allowed or not np.isfinite(matrix).all()):
                 raise InputError(f"{name} must be {' or '.join(map(str, allowed))}, finite")
         if whole is not None:
             return whole.reshape(n, 4, n, 4) * 1e-12
+        if S is None or N is None:
+            raise InputError(
+                "fit: parameter_covariance_microstrain2 is missing, or in its place "
+                "residual_covariance_microstrain2 and normal_matrix"
+            )
         from tipforce.sensor.calibration.result import kronecker
 
-        assert S is not None
-        assert N is not None
         return kronecker(S * 1e-12, N)
 
 

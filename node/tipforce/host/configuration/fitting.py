@@ -118,8 +118,7 @@ def fitted(request: FitRequest, data: Measurements, note: Callable[[str], None] 
 
 def limit_of(fit: Fit, Sigma: FloatArray, dof: float, largest_newtons: float) -> float:
     """The limit of the redundancy check for one reading with the covariance Sigma, known with ``dof``."""
-    limit = redundancy_limit(fit.A, Sigma, fit.parameter_covariance, dof, largest_newtons)
-    return float(to_digits(limit, 6))
+    return float(to_digits(redundancy_limit(fit.A, Sigma, fit.parameter_covariance, dof, largest_newtons), 6))
 
 
 def _calibration_of(request: FitRequest, data: Measurements, fit: Fit, note: Callable[[str], None]) -> Calibration:

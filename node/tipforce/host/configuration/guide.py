@@ -21,7 +21,7 @@ import numpy as np
 from canopen_device.toml_table import convert, read_table
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.host.configuration.measurements import LARGEST_ANGLE_DEG, read_measurements
+from tipforce.host.configuration.measurements import LARGEST_ANGLE_DEG, LOAD_COLUMNS, read_measurements
 from tipforce.output_file import new_file
 from tipforce.sensor.calibration.regressors import FORCES, require_seen
 from tipforce.sensor.contact.estimate import force_vector
@@ -204,8 +204,7 @@ class Session:
         now = datetime.datetime.now(datetime.UTC)
         t_s = 0.0
         if self.rows:  # they stay in time order even if the clock is set
-            first = self.rows[0]
-            t_s = max(self.rows[-1].t_s, first.t_s + (now - first.taken).total_seconds())
+            t_s = max(self.rows[-1].t_s, self.rows[0].t_s + (now - self.rows[0].taken).total_seconds())
         self._save((self._content or self._header()) + self._line(step, capture, t_s, now).encode())
         row = Row(step.number, round(t_s, 3), now, capture.mean, capture.covariance, capture.count, step.mode == "tare")
         self.rows.append(row)
@@ -226,8 +225,7 @@ class Session:
     def _columns_of(self, temperature: bool) -> list[str]:
         gauges = [f"SG{k + 1}" for k in range(self._n)]
         degrees = ["temperature_degC"] if temperature else []
-        load = ["P_N", "phi_deg", "theta_deg"]
-        return ["t_s", *gauges, *load, *degrees, "weight", "mode", "step", "serial", "taken", *self._variances]
+        return ["t_s", *gauges, *LOAD_COLUMNS, *degrees, "weight", "mode", "step", "serial", "taken", *self._variances]
 
     def _header(self) -> bytes:
         return ",".join(self._columns).encode() + b"\n"
@@ -301,7 +299,7 @@ class Session:
             step = EXTRA if cells["step"] == "extra" else int(cells["step"])
             serial, samples = int(cells["serial"]), round(float(cells["weight"]))
             taken = datetime.datetime.fromisoformat(cells["taken"])
-            P, phi, theta = (float(cells[name]) for name in ("P_N", "phi_deg", "theta_deg"))
+            P, phi, theta = (float(cells[name]) for name in LOAD_COLUMNS)
             covariance = np.zeros((self._n, self._n))
             for name, (j, k) in self._variances.items():
                 covariance[j, k] = covariance[k, j] = float(cells[name])

@@ -74,15 +74,13 @@ class Heartbeats(can.Listener):
 
     def wait(self, node_id: int, wanted: int, since_s: float, timeout_s: float) -> bool:
         """Wait for a heartbeat with a state after ``since_s`` (monotonic); return False if there is none."""
-        deadline_s = time.monotonic() + timeout_s
+
+        def is_heard() -> bool:
+            heard_s, state = self._last.get(node_id, (-1.0, -1))
+            return heard_s >= since_s and state == wanted
+
         with self._arrived:
-            while True:
-                heard_s, state = self._last.get(node_id, (-1.0, -1))
-                if heard_s >= since_s and state == wanted:
-                    return True
-                left_s = deadline_s - time.monotonic()
-                if left_s <= 0 or not self._arrived.wait(left_s):
-                    return False
+            return self._arrived.wait_for(is_heard, timeout_s)
 
 
 class Dispatcher(can.Listener):
@@ -289,12 +287,10 @@ class Bus:
     def close(self) -> None:
         """Stop receiving and, if it is owned, release the bus; also one that has failed."""
         with self._lock:
-            fingers, self._fingers = list(self._fingers.values()), {}
-            channels, self._channels = list(self._channels.values()), {}
-        for finger in fingers:
-            finger.close()
-        for channel in channels:
-            channel.close()
+            users: list[Finger | SdoChannel] = [*self._fingers.values(), *self._channels.values()]
+            self._fingers, self._channels = {}, {}
+        for user in users:
+            user.close()
         if self._is_shared:
             for listener in self._listeners:
                 with suppress(ValueError):
