@@ -34,7 +34,9 @@ FILES = {
     "node.toml": "duration_s = 1\n[[node]]\n", "nan.csv": "SG1,SG2,SG3,P_N,phi_deg,theta_deg\n1,2,3,nan,0,0\n",
     "inf.toml": "[[finger]]\nnode_id = inf\n", "fast.toml": "[hand]\nsync_hz = 1e12\n[[finger]]\nnode_id = 1\n",
     "names.toml": '[[finger]]\nname = "\u261d"\nnode_id = 1\n[[finger]]\nname = "\u261d"\nnode_id = 2\n',
-    "empty.log": "", "static.toml": (SCENES / "static.toml").read_text(),
+    "empty.log": "", "static.toml": (SCENES / "static.toml").read_text(), "timed.csv": "t_s,SG1,SG2,SG3\n0,1,2,3\n",
+    "words.csv": "t_s,SG1,SG2,SG3\n0,1,2,x\n", "timed4.csv": "t_s,SG1,SG2,SG3,SG4\n0,1,2,3,4\n",
+    "gauges.log": "(1.0) can0 185#0A00ECFF1E000201\n",
 }  # fmt: skip
 _UNIT = "[[1e4, 0, 0], [0, 1e4, 0], [0, 0, 1e4]]"
 NO_SENSOR = {  # calibrations that no sensor can have: matrix, variance and covariance of SG1 with SG2, what is said
@@ -233,6 +235,14 @@ WRITE soon NOBODY => '@' is not UNSIGNED16: write a number as 10 or 0x0A
 sdo write 5 0x2141 0 xx NOBODY => '@' is not DOMAIN: write hex bytes
 NODE --source adc => % @: allowed are sim, iio:DEVICE[,DEVICE...], replay:FILE
 NODE --source iio:device0 => --layout I: the gauges of a real converter need a [bridge] table
+NODE --source replay:readings.csv => column t_s is missing
+NODE --source replay:words.csv => line 2
+NODE --source replay:timed4.csv => 4 gauges; the layout has 3
+NODE --source replay:timed.csv --speed 0 => speed 0.0
+NODE --source replay:prose.txt => no gauge PDO, and no CSV header with SG1
+NODE --source replay:gauges.log@9 => no gauge PDO of node 9
+NODE --source replay:gauges.log@0 => '0' after
+NODE --source replay:none => No such file
 NODE --noise -1 | NODE --noise nan | NODE --noise inf => %: '@': allowed is 0 to 1e+06
 NODE --scan-rate 0 => %: '@': allowed is above 0 up to 100000 Hz
 NODE --load 1,2 | NODE --load 1,2,x | NODE --load nan,0,0 | NODE --load 1,inf,0 => % '@': expected 3 numbers
@@ -306,6 +316,7 @@ GUIDE --grooves x30,z20 BUS => 'z20': allowed are paper, or grooves: x30,y60
 GUIDE --grooves y190 BUS => theta 0 to 180
 GUIDE --grooves x30,x45 BUS => cannot show
 GUIDE --plan none.toml BUS => @: No such file
+GUIDE --session two.csv BUS | GUIDE --session prose.txt BUS | GUIDE --session binary.toml BUS => session @
 calibrate budget -o no/b.png => does not exist; create it first
 calibrate budget folder.toml | calibrate budget binary.toml => calibration @
 run grsp | run --explain grsp | view grsp => grsp: no such file; by name ship SHIPPED
