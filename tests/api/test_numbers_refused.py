@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import canopen
 import numpy as np
 import pytest
 
@@ -56,6 +57,13 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "damping": (lambda: tipforce_lab.rk4_stability_limit(-1.0), "-1.0: allowed is 0 to"),
     "noise": (lambda: tipforce.simulated_finger(5, noise_microstrain=-1.0), "-1.0: allowed is 0 to"),
     "load": (lambda: tipforce.simulated_finger(5, load=(1e300, 0.0, 0.0)), "theta degrees), finite"),
+    "no node": (lambda: tipforce.simulated_hand(0), "different ones from 1 to 127"),
+    "one node twice": (lambda: tipforce.simulated_hand([1, 1]), "different ones from 1 to 127"),
+    "load of no node": (lambda: tipforce.simulated_hand(2, {3: (1.0, 90.0, 45.0)}), "loads of nodes [3]"),
+    "two numbers": (lambda: tipforce.simulated_finger(5, (1.0, 90.0)), "load (1.0, 90.0) of node 5"),  # type: ignore[arg-type]
+    "layout of a finger": (lambda: tipforce.simulated_finger(5, layout="X"), "layout 'X' is not known"),
+    "five gauges": (lambda: tipforce.estimate(CALIBRATION, np.zeros((4, 5))), "allowed are (k, 3) and (3,)"),
+    "not connected": (lambda: tipforce.open(canopen.Network()), "connect() first"),
     "time-out": (lambda: tipforce.open("x", "virtual", timeout_s=NAN), "timeout_s = nan: allowed is 0 s or more"),
     "retries": (lambda: tipforce.open("x", "virtual", retries=-1), "retries = -1: allowed are"),
 }

@@ -221,19 +221,6 @@ def test_a_log_of_gauges_is_estimated_by_the_calibration(tmp_path: Path) -> None
     assert found.microstrain.shape == (2, 3)
 
 
-def test_a_simulated_hand_names_what_is_wrong() -> None:
-    with pytest.raises(tipforce.InputError, match="different ones from 1 to 127"):
-        tipforce.simulated_hand(0)
-    with pytest.raises(tipforce.InputError, match="different ones from 1 to 127"):
-        tipforce.simulated_hand([1, 1])
-    with pytest.raises(tipforce.InputError, match=r"loads of nodes \[3\]"):
-        tipforce.simulated_hand(2, {3: (1.0, 90.0, 45.0)})
-    with pytest.raises(tipforce.InputError, match=r"load \(1.0, 90.0\) of node 5"):
-        tipforce.simulated_finger(5, (1.0, 90.0))  # type: ignore[arg-type]
-    with pytest.raises(tipforce.InputError, match="layout 'X' is not known"):
-        tipforce.simulated_finger(5, layout="X")
-
-
 def test_one_node_on_two_buses_needs_a_channel(tmp_path: Path) -> None:
     path = tmp_path / "two.log"
     path.write_text("(1.000000) can0 285#2E1129239A110303\n(1.000000) can1 285#3011282394110303\n")
@@ -292,8 +279,3 @@ def test_a_fit_keeps_its_uncertainty_through_a_file(tmp_path: Path) -> None:
     bare = tipforce.estimate(tipforce.Calibration.read(tmp_path / "bare.toml"), strain[:1] * 1e6)
     assert with_fit.u_P_newtons[0] > 1.05 * bare.u_P_newtons[0]
     assert with_fit.P_newtons[0] == bare.P_newtons[0]
-
-
-def test_an_estimate_names_the_shape_that_it_takes() -> None:
-    with pytest.raises(tipforce.InputError, match=r"allowed are \(k, 3\) and \(3,\)"):
-        tipforce.estimate(beam_calibration(), np.zeros((4, 5)))
