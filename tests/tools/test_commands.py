@@ -1,6 +1,5 @@
 """scan, sdo, config, calibrate and export, run in this process against nodes on the in-process bus."""
 
-import functools
 import io
 import json
 import re
@@ -16,7 +15,7 @@ from tipforce.dictionary import objects as od
 from tipforce.dictionary.names import entries
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.network.bus import Bus
-from tools.rig import Printed, Tipforce, called
+from tools.rig import Printed, Tipforce
 
 ROOT = Path(__file__).parents[2]
 
@@ -181,17 +180,9 @@ def test_config_apply_then_verify(tipforce: Tipforce, tmp_path: Path) -> None:
     assert tipforce(f"config verify 6 {path} --json -q", code=1).records[-1] == expected
 
 
-@pytest.fixture
-def export(capsys: pytest.CaptureFixture[str]) -> Tipforce:
-    return functools.partial(called, capsys, "export")
-
-
 @pytest.mark.parametrize(("kind", "committed"), [("eds", "eds/tipforce-3.eds"), ("dbc", "dbc/tipforce.dbc")])
-def test_export_is_the_committed_file(export: Tipforce, tmp_path: Path, kind: str, committed: str) -> None:
-    expected = (ROOT / committed).read_bytes()
-    assert export(kind) == (0, expected.decode(), "")
-    assert export(kind, "-o", "-") == (0, expected.decode(), "")
-    code, out, err = export(kind, "-o", tmp_path / "file")
-    assert (code, out) == (0, "")
-    assert err == f"{tmp_path / 'file'}: {len(expected.splitlines())} lines\n"
-    assert (tmp_path / "file").read_bytes() == expected
+def test_export_is_the_committed_file(printed: Printed, tmp_path: Path, kind: str, committed: str) -> None:
+    expected, path = (ROOT / committed).read_bytes(), tmp_path / "file"
+    assert printed(0, f"export {kind}") == printed(0, f"export {kind} -o -") == (expected.decode(), "")
+    assert printed(0, f"export {kind} -o {path}") == ("", f"{path}: {len(expected.splitlines())} lines\n")
+    assert path.read_bytes() == expected

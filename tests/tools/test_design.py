@@ -4,7 +4,6 @@ import contextlib
 import importlib.util
 import io
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -150,11 +149,6 @@ def test_sweep_of_a_shift_is_figure_6(printed: Printed, everything: list[dict[st
         row = next(row for row in rows(everything, "fig6") if (row["case"], row["moved"]) == ("II", what))
         for shift, condition in zip(row["shift_mm"], row["condition"], strict=True):
             assert swept[shift] == pytest.approx(condition)
-
-
-def test_missing_matplotlib_names_the_extra(printed: Printed, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert 'pip install "tipforce[plot]"' in printed(2, ["design", "table", "1", "-o", str(tmp_path)]).err
 
 
 @NEEDS_MATPLOTLIB

@@ -3,7 +3,6 @@
 import json
 import math
 import re
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -337,11 +336,17 @@ def test_uncertainty_of_tpdo4_is_held(one: Path) -> None:
     assert 0.001 <= width.min() <= width.max() <= 0.1
 
 
-def test_without_matplotlib_it_says_what_to_install(one: Path, tmp_path: Path) -> None:
-    code = (
-        "import sys; sys.modules['matplotlib'] = None\nfrom tipforce_tools.cli.main import main\n"
-        f"sys.exit(main(['plot', {str(one)!r}, '-o', {str(tmp_path / 'x.png')!r}]))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "tipforce: a plot needs matplotlib: pip install 'tipforce[plot]'\n"
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("plot LOG -o FOLDER/x.png", "tipforce: a plot needs matplotlib: pip install 'tipforce[plot]'\n"),
+        ("design table 1 -o FOLDER", 'pip install "tipforce[plot]"'),  # its table is printed
+    ],
+)
+def test_without_matplotlib_it_says_what_to_install(
+    line: str, said: str, one: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, printed: Printed
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    out, err = printed(2, line.replace("LOG", str(one)).replace("FOLDER", str(tmp_path)))
+    assert said in err
+    assert bool(out) == line.startswith("design")
