@@ -244,27 +244,6 @@ def test_a_calibration_from_a_matrix_goes_through_a_file(tmp_path: Path) -> None
     assert found.u_P_newtons[0] > 0.0
 
 
-@pytest.mark.parametrize(
-    ("changes", "text"),
-    [
-        ({"matrix": np.zeros((3, 3))}, "rank below 3"),
-        ({"matrix": np.ones((3, 2))}, r"shape \(3, 2\), allowed \(3, 3\) to \(3, 8\)"),
-        ({"matrix": np.full((3, 3), np.nan)}, "not finite"),
-        ({"offset": [1.0, 2.0]}, r"offset: shape \(2,\), allowed is \(3,\)"),
-        ({"covariance": -np.eye(3)}, "variance is -1e-12: allowed is above 0"),
-        ({"covariance": np.array([[1, 2, 0], [2, 1, 0], [0, 0, 1.0]])}, "no correlation may be over 1"),
-        ({"covariance": np.array([[1, 0.5, 0], [0, 1, 0], [0, 0, 1.0]])}, "not symmetric"),
-        ({"covariance": np.zeros((3, 3))}, "variance is 0: allowed is above 0"),
-        ({"covariance": None}, "give covariance"),
-        ({"covariance": None, "noise": [1.0, 2.0]}, r"noise: shape \(2,\)"),
-    ],
-)
-def test_what_no_calibration_can_be_is_refused(changes: dict[str, object], text: str) -> None:
-    good: dict[str, object] = {"matrix": calibration_matrix(FABRICATED, "I") * 1e-6, "covariance": np.eye(3)}
-    with pytest.raises(tipforce.InputError, match=text):
-        tipforce.Calibration.from_microstrain(**(good | changes))  # type: ignore[arg-type]
-
-
 def test_a_fit_keeps_its_uncertainty_through_a_file(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     theta = np.radians(np.tile(np.arange(10.0, 175.0, 11.0), 2))
