@@ -10,13 +10,13 @@ from host.bus_with_nodes import connected, finger, new_channel
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.scene import beam_calibration
 from tipforce.sensor.calibration.simulation import simulate
+from tools.blocks import CONTACTS_LOG
 from tools.rig import Tipforce, write_readings
 
 SCENES = Path(__file__).parents[2] / "scenes"
-LOG = "".join(f"({1700000000 + k / 1000:.6f}) vcan0 285#2E1129239A1103{k:02X}\n" for k in range(50))
 EXTENDED = "".join(f"(1700000000.{k:06d}) can0 18FEF1{k:02X}#0102030405060708\n" for k in range(40))
 FILES = {
-    "run.log": LOG, "j1939.log": EXTENDED, "other.log": EXTENDED.replace("18FEF1", "3"),
+    "run.log": CONTACTS_LOG, "j1939.log": EXTENDED, "other.log": EXTENDED.replace("18FEF1", "3"),
     "prose.txt": "these are no frames\n", "broken.blf": "XXXX" + 200 * "x", "noise.asc": "\x01\x02\x03",
     "bad.toml": "[hand\n", "empty.toml": "", "hand.toml": '[[finger]]\nnode_id = 1\ncalibration = "none.toml"\n',
     "one.toml": "[[finger]]\nnode_id = 1\n", "taken/bus.yml": "routes: 12\n",
