@@ -66,10 +66,22 @@ def test_the_place_follows_from_the_kernel(
     assert host.choose(["vcan0", "vcan1"]) == place
 
 
-def test_host_forced_on_a_kernel_without_vcan_says_what_to_try(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("platform", "words", "error", "message"),
+    [
+        ("linux", "--host -- true", EnvironmentLackError, r"vcan0, vcan1 cannot be created.*modprobe vcan"),
+        ("linux", "", InputError, r"tipforce vcan -- COMMAND"),  # no terminal, so no shell
+        ("darwin", "-- true", EnvironmentLackError, r"^vcan exists on Linux only.*darwin.*`tipforce demo`.*$"),
+    ],
+)
+def test_where_it_cannot_run_one_line_says_what_to_try(
+    platform: str, words: str, error: type[Exception], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fake_kernel(monkeypatch)
-    with pytest.raises(EnvironmentLackError, match=r"vcan0, vcan1 cannot be created.*modprobe vcan"):
-        vcan.run(parse("--host", "--", "true"))
+    monkeypatch.setattr(sys, "platform", platform)
+    monkeypatch.setattr(sys, "stdin", stdin(terminal=False))
+    with pytest.raises(error, match=message):
+        vcan.run(parse(*words.split()))
 
 
 def test_the_namespace_command_makes_every_bus_before_it_runs_the_command(
@@ -113,12 +125,6 @@ def stdin(*, terminal: bool) -> SimpleNamespace:
     return SimpleNamespace(isatty=lambda: terminal)
 
 
-def test_no_command_is_a_usage_error_without_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdin", stdin(terminal=False))
-    with pytest.raises(InputError, match=r"tipforce vcan -- COMMAND"):
-        vcan.run(parse())
-
-
 @pytest.mark.parametrize(("shell", "expected"), [("/bin/sh", "/bin/sh"), ("/no/such/shell", "bash"), ("", "bash")])
 def test_no_command_is_a_shell_on_a_terminal(
     shell: str, expected: str, monkeypatch: pytest.MonkeyPatch, asked: list[tuple[str, list[str]]]
@@ -151,12 +157,6 @@ def test_a_shell_is_told_where_it_is_and_what_becomes_of_its_files(
     assert said.out == ""
     vcan.run(parse(*flags, "--", "true"))
     assert capsys.readouterr().err == "", "a command's stderr is its own"
-
-
-def test_where_there_is_no_linux_one_line_says_what_works(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "platform", "darwin")
-    with pytest.raises(EnvironmentLackError, match=r"^vcan exists on Linux only.*darwin.*`tipforce demo`.*$"):
-        vcan.run(parse("--", "true"))
 
 
 def test_a_command_that_is_not_there_is_127_before_anything_boots(
