@@ -1,6 +1,7 @@
 """Wrong inputs: one line that names the place and the next step, and the documented exit code."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,7 @@ MACROS = {
     "FIT": "calibrate fit data.csv --saturation none", "GUIDE": "calibrate guide --node 5 --auto -q --session s.csv",
     "ESTIMATE": "estimate cal.toml readings.csv", "PLOT": "plot run.log -o x.png",
     "OPTIMISE": "design optimise --starts 2",
+    "STEEP": "the condition number of C exceeds the limit 2105h:1, or its 2-norm exceeds 1e7 N per unit strain",
     "SHIPPED": ", ".join(sorted(path.stem for path in SCENES.glob("*.toml"))),
     "NO_LOG": "prose.txt: no frames in it; is it a log? line 1: 'these are no frames'",
     "NO_BUS": "no bus given: no CAN interface here; use -i and -c, as in -i slcan -c /dev/ttyACM0",
@@ -250,6 +252,7 @@ NODE --offset 1,2 | NODE --offset 1,2,nan => % '@': expected 3 numbers
 NODE --load 1e300,0,0 => allowed is a force up to 1e+09 N
 NODE --offset 1e300,1,1 => allowed is up to 1e+06 microstrain
 NODE --store . => : is a directory
+NODE --priority 100 => allowed are 1 to 99
 vcan --interfaces vcan0, -- true => '': allowed are a letter
 vcan --interfaces ../x -- true | vcan --interfaces vcan0;reboot -- true => allowed are a letter
 vcan --interfaces a234567890123456 -- true => allowed are a letter
@@ -297,7 +300,6 @@ OPTIMISE --gauge-length 100 => no design found within the limits
 OPTIMISE --starts 0 => 0 starts: allowed is 1 or more
 calibrate budget --gravity nan => %: '@'
 calibrate budget --phi 1e9 --theta 0 => --phi: '1e9': allowed are degrees from -360 to 360
-calibrate budget nothing.toml => calibration @
 conformance --node-id 5 --case nosuch => matches no case
 conformance --node-id 5 --tolerance -1 => --tolerance -1
 scan -i socketcan -c nowhere9 => check -i and -c
@@ -318,7 +320,7 @@ GUIDE --grooves x30,x45 BUS => cannot show
 GUIDE --plan none.toml BUS => @: No such file
 GUIDE --session two.csv BUS | GUIDE --session prose.txt BUS | GUIDE --session binary.toml BUS => session @
 calibrate budget -o no/b.png => does not exist; create it first
-calibrate budget folder.toml | calibrate budget binary.toml => calibration @
+calibrate budget nothing.toml | calibrate budget folder.toml | calibrate budget binary.toml => calibration @
 run grsp | run --explain grsp | view grsp => grsp: no such file; by name ship SHIPPED
 estimate empty.toml readings.csv => empty.toml: calibration is missing
 hand check inf.toml => node_id is inf: allowed are finite numbers
@@ -361,6 +363,7 @@ READ 0x3000 0 u8 BUS => object does not exist
 sdo write 5 0x1000 1 BUS => read-only
 tare 5 BUS => the node is not calibrated: `tipforce calibrate apply CAL.toml --node 5` first
 exit 12
+calibrate apply steep.toml --node 5 --no-store -q BUS => node 5 rejected the calibration (0x06090031): STEEP
 lss store --serial 1005 --product 0x54500103 BUS => no memory
 """
 
@@ -394,7 +397,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (found / "binary.toml").write_bytes(bytes(range(250, 0, -1)))
     (found / "folder.toml").mkdir()
     (found / "link.csv").symlink_to(found / "readings.csv")
-    write_calibration(found / "cal.toml", beam_calibration("I", pull=True))
+    cal = beam_calibration("I", pull=True)
+    write_calibration(found / "cal.toml", cal)
+    write_calibration(found / "steep.toml", replace(cal, C=cal.C * [1.0, 1.0, 1e-5]))
     write_readings(found / "data.csv", simulate("I", np.random.default_rng(4)))
     return found
 
