@@ -198,8 +198,6 @@ def test_the_papers_cases_stand_beside_the_designs(optimised: Optimised) -> None
     assert (summary["summary"], summary["agrees"], summary["agreement_limit"]) == (True, True, 0.03)
     assert summary["condition_only_u_theta_against_case_I"] > 5.0
     assert summary["condition_only_noise_against_case_I"] > 5.0
-    assert by_name["best"]["disagreement"] < 0.03
-    assert by_name["best"]["frame_u_theta_deg"] == pytest.approx(by_name["best"]["u_theta_deg"], rel=0.03)
 
 
 def test_the_layout_that_it_writes(tmp_path: Path, optimised: Optimised) -> None:

@@ -155,11 +155,8 @@ def test_flags_become_bars() -> None:
     assert set(bars) == {"contact", "stale"}
     assert [((a - T0) // MS, (b - T0) // MS) for a, b in bars["stale"]] == [(10, 20), (50, 51)]
     assert [((a - T0) // MS, (b - T0) // MS) for a, b in bars["contact"]] == [(0, 10), (20, 50), (51, 99)]
-
-
-def test_a_bar_ends_where_the_samples_end() -> None:
-    flags = Flags(T0)
-    on = np.ones(50, dtype=np.bool_)
+    # A bar ends where the samples end.
+    flags, on = Flags(T0), np.ones(50, dtype=np.bool_)
     flags.add(times(50), {"stale": on})
     flags.add(times(50) + 1000 * MS, {"stale": on})
     assert [((a - T0) // MS, (b - T0) // MS) for a, b in flags.bars()["stale"]] == [(0, 49), (1000, 1049)]
