@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import canopen
 import numpy as np
 import pytest
 
@@ -34,6 +35,15 @@ def readings(**factors: float) -> tipforce.Readings:
     return replace(good, **{name: factor * getattr(good, name) for name, factor in factors.items()})
 
 
+def made(**changes: object) -> tipforce.Calibration:
+    """From a good matrix in newtons per microstrain and a good covariance, but for the changes."""
+    good = {"matrix": CALIBRATION.C * 1e-6, "covariance": SQUARE}
+    return tipforce.Calibration.from_microstrain(**(good | changes))  # type: ignore[arg-type]
+
+
+CORRELATED, UNEQUAL = np.eye(3), np.eye(3)
+CORRELATED[0, 1] = CORRELATED[1, 0] = 2.0
+UNEQUAL[0, 1] = 0.5
 REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "text for numbers": (lambda: tipforce.estimate(CALIBRATION, ["a", "b", "c"]), "is no array of numbers"),
     "temperatures": (lambda: tipforce.estimate(CALIBRATION, [[1, 2, 3]], temperature_degC=[1, 2]), "(2,): allowed are"),
@@ -56,6 +66,23 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "damping": (lambda: tipforce_lab.rk4_stability_limit(-1.0), "-1.0: allowed is 0 to"),
     "noise": (lambda: tipforce.simulated_finger(5, noise_microstrain=-1.0), "-1.0: allowed is 0 to"),
     "load": (lambda: tipforce.simulated_finger(5, load=(1e300, 0.0, 0.0)), "theta degrees), finite"),
+    "rank": (lambda: made(matrix=np.zeros((3, 3))), "rank below 3"),
+    "two gauges": (lambda: made(matrix=np.ones((3, 2))), "shape (3, 2), allowed (3, 3) to (3, 8)"),
+    "matrix of NaN": (lambda: made(matrix=np.full((3, 3), NAN)), "not finite"),
+    "two offsets": (lambda: made(offset=[1.0, 2.0]), "offset: shape (2,), allowed is (3,)"),
+    "variance below 0": (lambda: made(covariance=-SQUARE), "variance is -1e-12: allowed is above 0"),
+    "correlation": (lambda: made(covariance=CORRELATED), "no correlation may be over 1"),
+    "asymmetry": (lambda: made(covariance=UNEQUAL), "not symmetric"),
+    "variance of 0": (lambda: made(covariance=np.zeros((3, 3))), "variance is 0: allowed is above 0"),
+    "no covariance": (lambda: made(covariance=None), "give covariance"),
+    "two noises": (lambda: made(covariance=None, noise=[1.0, 2.0]), "noise: shape (2,)"),
+    "no node": (lambda: tipforce.simulated_hand(0), "different ones from 1 to 127"),
+    "one node twice": (lambda: tipforce.simulated_hand([1, 1]), "different ones from 1 to 127"),
+    "load of no node": (lambda: tipforce.simulated_hand(2, {3: (1.0, 90.0, 45.0)}), "loads of nodes [3]"),
+    "two numbers": (lambda: tipforce.simulated_finger(5, (1.0, 90.0)), "load (1.0, 90.0) of node 5"),  # type: ignore[arg-type]
+    "layout of a finger": (lambda: tipforce.simulated_finger(5, layout="X"), "layout 'X' is not known"),
+    "five gauges": (lambda: tipforce.estimate(CALIBRATION, np.zeros((4, 5))), "allowed are (k, 3) and (3,)"),
+    "not connected": (lambda: tipforce.open(canopen.Network()), "connect() first"),
     "time-out": (lambda: tipforce.open("x", "virtual", timeout_s=NAN), "timeout_s = nan: allowed is 0 s or more"),
     "retries": (lambda: tipforce.open("x", "virtual", retries=-1), "retries = -1: allowed are"),
 }

@@ -11,7 +11,6 @@ import re
 import shlex
 import shutil
 import struct
-import subprocess
 import sys
 from pathlib import Path
 
@@ -21,6 +20,7 @@ import pytest
 from docs.page_setups import SETUPS, beam_record
 from docs.runner import Terminal, check_command, command_lines, examples, run_page
 from tipforce.host.configuration.calibration import write_calibration
+from tools.rig import in_namespace
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted(path for folder in (".", "docs", "dbc", "eds") for path in (ROOT / folder).glob("*.md"))
@@ -183,16 +183,5 @@ def test_the_bus_over_udp_is_pasted(tmp_path: Path) -> None:
     route = re.search(r"`sudo (ip link set lo up) && sudo (ip route add [^`]*)`", page)
     assert route is not None
     pasted = "\n".join([*route.groups(), block, "tipforce sdo read 5 simulation.P", "kill %1", "wait"])
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"], "/sbin", "/usr/sbin"])
-    command = ["unshare", "--map-root-user", "--net", "bash"]
-    try:
-        done = subprocess.run([*command, "-c", "true"], capture_output=True, check=False)
-    except FileNotFoundError:
-        pytest.skip("unshare is not installed")
-    if done.returncode:
-        pytest.skip(f"no network namespace here: {done.stderr.decode().strip()}")
-    environment = {**os.environ, "PATH": path, "PYTHONPATH": os.pathsep.join(sys.path)}
-    done_pasting = subprocess.run(
-        command, input=pasted, capture_output=True, text=True, timeout=600, check=False, cwd=tmp_path, env=environment
-    )
-    assert done_pasting.stdout.splitlines()[-1:] == ["4.4"], done_pasting.stderr
+    done = in_namespace(pasted, cwd=tmp_path)
+    assert done.stdout.splitlines()[-1:] == ["4.4"], done.stderr

@@ -2,6 +2,10 @@
 
 import itertools
 import json
+import os
+import shutil
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -52,6 +56,24 @@ def until(condition: Callable[[], object]) -> None:
     while not condition():
         assert time.monotonic() < deadline_s
         time.sleep(0.002)
+
+
+def in_namespace(script: str, *words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run lines of bash in a network namespace with loopback alone; where there can be none, skip the test."""
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"], "/sbin", "/usr/sbin"])
+    environment = {**os.environ, "PATH": path, "PYTHONPATH": os.pathsep.join(sys.path)}
+
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = ["unshare", "--map-root-user", "--net", "bash", "-c", *arguments]
+        return subprocess.run(
+            command, capture_output=True, text=True, timeout=600, check=False, cwd=cwd, env=environment
+        )
+
+    if shutil.which("unshare") is None:
+        pytest.skip("unshare is not installed")
+    if (trial := run("ip link set lo up")).returncode:
+        pytest.skip(f"no network namespace here: {trial.stderr.strip()}")
+    return run(script, "bash", *map(str, words))
 
 
 class Ended(NamedTuple):

@@ -56,19 +56,6 @@ def fitted(printed: Printed) -> Fitted:
     return fit
 
 
-def test_text_tells_all(data: Path, sim: Simulated, printed: Printed) -> None:
-    out, err = printed(0, ["calibrate", "fit", data, "--layout", "I", *LIMIT])
-    for text in (
-        "57 loaded and 20 unloaded rows, 3 gauges", "drift tare, loss huber, load directions 0.5 degree",
-        "condition number 2.4", *(f"outlier: line {row + 2}: " for row in np.flatnonzero(sim.true_outlier)),
-        "saturated: line 17: SG2 is left out", "1 degree costs about 1 % of P and 1 degree of phi or theta",
-    ):  # fmt: skip
-        assert text in out
-    assert "loaded rows scatter" not in out
-    assert len([line for line in out.splitlines() if line.startswith("   4.400")]) >= 17
-    assert err == ""
-
-
 def test_the_file_has_the_digits_that_were_told_and_gives_the_covariance_again(
     data: Path, sim: Simulated, tmp_path: Path, fitted: Fitted
 ) -> None:
@@ -128,8 +115,6 @@ def test_bad_rows_are_told_and_strict_refuses(data: Path, tmp_path: Path, printe
     assert not path.exists()
     data.write_text("\n".join((lines[0], lines[1], lines[9])))
     assert "1 bad rows were not used, the first: line 3: SG1 is 'x" in printed(2, fit).err
-    data.write_text(lines[0] + "\n" + lines[9])
-    assert "no row can be used; the first: line 2: SG1 is 'x" in printed(2, fit).err
 
 
 @pytest.mark.parametrize(
@@ -149,6 +134,8 @@ def test_load_sense_layout_and_notes(sim: Simulated, tmp_path: Path, fitted: Fit
     path = tmp_path / "cal.toml"
     record = fitted(data, "-o", path, "--layout", "II'", *LIMIT)
     assert record["load_sense"] == "push"
+    assert any("1 degree costs about 1 % of P and 1 degree of phi or theta" in note for note in record["notes"])
+    assert not any("loaded rows scatter" in note for note in record["notes"])
     assert (read_calibration(path).reference_temperature_degC, read_calibration(path).layout_code) == (23.0, 255)
     assert any("opposite to beam theory" in note for note in record["notes"])
     assert "all rows at 23 degC: what a warm finger reads is not known" in record["notes"]

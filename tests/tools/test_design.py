@@ -4,7 +4,6 @@ import contextlib
 import importlib.util
 import io
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -152,11 +151,6 @@ def test_sweep_of_a_shift_is_figure_6(printed: Printed, everything: list[dict[st
             assert swept[shift] == pytest.approx(condition)
 
 
-def test_missing_matplotlib_names_the_extra(printed: Printed, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert 'pip install "tipforce[plot]"' in printed(2, ["design", "table", "1", "-o", str(tmp_path)]).err
-
-
 @NEEDS_MATPLOTLIB
 def test_figures_are_reproducible_and_small(printed: Printed, tmp_path: Path) -> None:
     for what, name in (("all", "one"), ("3", "two"), ("scaling", "two")):  # which has no figure
@@ -204,8 +198,6 @@ def test_the_papers_cases_stand_beside_the_designs(optimised: Optimised) -> None
     assert (summary["summary"], summary["agrees"], summary["agreement_limit"]) == (True, True, 0.03)
     assert summary["condition_only_u_theta_against_case_I"] > 5.0
     assert summary["condition_only_noise_against_case_I"] > 5.0
-    assert by_name["best"]["disagreement"] < 0.03
-    assert by_name["best"]["frame_u_theta_deg"] == pytest.approx(by_name["best"]["u_theta_deg"], rel=0.03)
 
 
 def test_the_layout_that_it_writes(tmp_path: Path, optimised: Optimised) -> None:

@@ -84,19 +84,18 @@ def test_dump_by_the_names_of_the_file(eds: str, tmp_path: Path, printed: Printe
     assert "2000" in lines[5]
 
 
-def sdo(at_s: float, index: int, sub: int, value: int, size: int) -> str:
-    """An expedited download to node 5, and its response."""
-    place = struct.pack("<HB", index, sub).hex()
-    request = f"{0x23 | 4 - size << 2:02x}{place}{value.to_bytes(size, 'little').ljust(4, bytes(1)).hex()}"
-    return f"({at_s:.6f}) can0 605#{request}\n({at_s + 0.0001:.6f}) can0 585#60{place}00000000\n"
-
-
 def exchange(at_s: float, *frames: str) -> str:
     """Requests of a client and responses of node 5, in turn."""
     return "".join(
         f"({at_s + k / 1e4:.6f}) can0 {('605', '585')[k % 2]}#{frame.ljust(16, '0')}\n"
         for k, frame in enumerate(frames)
     )
+
+
+def sdo(at_s: float, index: int, sub: int, value: int, size: int) -> str:
+    """An expedited download to node 5, and its response."""
+    place, data = struct.pack("<HB", index, sub).hex(), value.to_bytes(size, "little").hex()
+    return exchange(at_s, f"{0x23 | 4 - size << 2:02x}{place}{data}", f"60{place}")
 
 
 def segmented(at_s: float, index: int, sub: int, value: int, size: int) -> str:

@@ -336,13 +336,6 @@ def test_a_session_that_does_not_belong_here(bench: Bench, old: str, new: str, r
     assert bench.session.read_text() == wrong
 
 
-@pytest.mark.parametrize("content", [b"a,b\n1,2\n", b"hello", b"\xff\xfe\n"])
-def test_a_session_that_is_none(bench: Bench, content: bytes) -> None:
-    bench.session.write_bytes(content)
-    assert "session" in bench.auto(code=2).err
-    assert bench.session.read_bytes() == content
-
-
 class RealGauges(Source):
     """A converter that is no simulation."""
 

@@ -98,9 +98,6 @@ def test_a_layout_with_a_geometry(tmp_path: Path) -> None:
     lines = "\n".join(f"{name} = {value}" for name, value in asdict(wanted).items())
     path.write_text(f'points = ["L", "R", "U"]\n[geometry]\n{lines}\ndrawing = "A-12"\n')
     assert read_layout(str(path)) == (wanted, ("L", "R", "U")), "and may say more"
-    path.write_text(path.read_text().replace("r_m = 0.02", "r_m = -1"))
-    with pytest.raises(InputError, match=r"layout .*layout\.toml: geometry r_m = -1\.0: allowed is 1e-06 to 10 m"):
-        read_layout(str(path))
 
 
 WRONG_TEXTS = [
@@ -123,8 +120,11 @@ WRONG_TEXTS = [
         for length in (0, -1, "nan", "inf")
     ),
     *(
-        (layout_text(FABRICATED, ("K_H", "S_H", "U")).replace("width_m = 0.01", f"width_m = {width}"), "1e-06 to 10 m")
-        for width in ("0.0", "-1.0", "nan", "1e300")
+        (
+            layout_text(FABRICATED, ("K_H", "S_H", "U")).replace("width_m = 0.01", f"width_m = {width}"),
+            f"geometry width_m = {width}: allowed is 1e-06 to 10 m",
+        )
+        for width in ("0.0", "-1.0", "nan", "1e+300")
     ),
     *((f'points = ["U", {{ beam = "H", side = "right", position_mm = 2 }}, {point}]', m) for point, m in WRONG_PLACES),
 ]

@@ -84,14 +84,6 @@ def test_every_kind_of_frame_as_candump_writes_it(name: str, tmp_path: Path) -> 
     assert text_of(written(tmp_path / name)) == MIXED_LOG
 
 
-def test_every_kind_of_frame_as_messages(tmp_path: Path) -> None:
-    with can.LogReader(written(tmp_path / "run.blf")) as reader:
-        messages = list(reader)
-    assert [(each.arbitration_id, each.is_fd, each.is_remote_frame, each.is_error_frame) for each in messages] == [
-        (can_id & 0x1FFFFFFF, isinstance(kind, int), kind == "remote", kind == "error") for can_id, kind in MIXED
-    ]
-
-
 def test_a_database_holds_all_that_was_written_at_once(tmp_path: Path) -> None:
     """python-can's own stop() loses most of them."""
     text = "".join(f"(1700000000.{k:06d}) vcan0 285#{k:08X}\n" for k in range(20_000))

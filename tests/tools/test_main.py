@@ -316,13 +316,6 @@ def test_without_a_person_the_answer_is_no(words: str, monkeypatch: pytest.Monke
         bus_flags.confirm(bus_arguments(*words.split()), "this persists")
 
 
-def test_notes_go_to_stderr_and_not_with_quiet(capsys: pytest.CaptureFixture[str]) -> None:
-    for words, text in (((), "hello"), (("-q",), "silence")):
-        common.OUTPUT.set_up(bus_arguments(*words))
-        common.note(text)
-    assert capsys.readouterr() == ("", "hello\n")
-
-
 @pytest.mark.parametrize(
     ("words", "environment", "coloured"),
     [

@@ -3,7 +3,6 @@
 import json
 import math
 import re
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -156,11 +155,8 @@ def test_flags_become_bars() -> None:
     assert set(bars) == {"contact", "stale"}
     assert [((a - T0) // MS, (b - T0) // MS) for a, b in bars["stale"]] == [(10, 20), (50, 51)]
     assert [((a - T0) // MS, (b - T0) // MS) for a, b in bars["contact"]] == [(0, 10), (20, 50), (51, 99)]
-
-
-def test_a_bar_ends_where_the_samples_end() -> None:
-    flags = Flags(T0)
-    on = np.ones(50, dtype=np.bool_)
+    # A bar ends where the samples end.
+    flags, on = Flags(T0), np.ones(50, dtype=np.bool_)
     flags.add(times(50), {"stale": on})
     flags.add(times(50) + 1000 * MS, {"stale": on})
     assert [((a - T0) // MS, (b - T0) // MS) for a, b in flags.bars()["stale"]] == [(0, 49), (1000, 1049)]
@@ -337,11 +333,17 @@ def test_uncertainty_of_tpdo4_is_held(one: Path) -> None:
     assert 0.001 <= width.min() <= width.max() <= 0.1
 
 
-def test_without_matplotlib_it_says_what_to_install(one: Path, tmp_path: Path) -> None:
-    code = (
-        "import sys; sys.modules['matplotlib'] = None\nfrom tipforce_tools.cli.main import main\n"
-        f"sys.exit(main(['plot', {str(one)!r}, '-o', {str(tmp_path / 'x.png')!r}]))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "tipforce: a plot needs matplotlib: pip install 'tipforce[plot]'\n"
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("plot LOG -o FOLDER/x.png", "tipforce: a plot needs matplotlib: pip install 'tipforce[plot]'\n"),
+        ("design table 1 -o FOLDER", 'pip install "tipforce[plot]"'),  # its table is printed
+    ],
+)
+def test_without_matplotlib_it_says_what_to_install(
+    line: str, said: str, one: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, printed: Printed
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    out, err = printed(2, line.replace("LOG", str(one)).replace("FOLDER", str(tmp_path)))
+    assert said in err
+    assert bool(out) == line.startswith("design")

@@ -4,7 +4,7 @@ import itertools
 import json
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,7 @@ from tipforce.host.logs.reader import open_log
 from tipforce.watching.bus_monitor import BusMonitor
 from tipforce.watching.feeds import Finger, Watcher
 from tipforce.watching.findings import Observed, findings
-from tools.rig import Printed, Tipforce
+from tools.rig import Printed, Tipforce, until
 
 SAID = "two nodes respond as node 5"
 SPEAKING = (
@@ -180,11 +180,3 @@ def test_a_hand_shows_no_value_of_two_nodes_and_goes_on_when_one_has_gone() -> N
             until(lambda: any(kind == "failed" and SAID in text for kind, text in seen))
             assert not hand.settled()
         until(hand.settled)
-
-
-def until(is_done: Callable[[], bool]) -> None:
-    for _ in range(2000):
-        if is_done():
-            return
-        time.sleep(0.01)
-    raise AssertionError("not in 20 s")

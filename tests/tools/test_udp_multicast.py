@@ -1,38 +1,19 @@
 """python-can's udp_multicast as a bus without kernel CAN, in a network namespace with loopback only."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from tools.rig import Printed
+from tools.rig import Printed, in_namespace
 
 WALK = Path(__file__).with_name("multicast_walk.py")
 ROUTE = "ip link set lo up && ip route add 239.0.0.0/8 dev lo && "
-
-
-def in_namespace(route: str, *words: str) -> subprocess.CompletedProcess[str]:
-    command = ["unshare", "--map-root-user", "--net", "sh", "-c", f'{route} exec "$@"', "sh", sys.executable, *words]
-    path = os.pathsep.join(sys.path)
-    environment = {**os.environ, "PYTHONPATH": path, "PATH": f"{os.environ['PATH']}{os.pathsep}/sbin:/usr/sbin"}
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, env=environment)
-
-
-@pytest.fixture(autouse=True)
-def _namespace() -> None:
-    try:
-        done = in_namespace(ROUTE, "-c", "pass")
-    except FileNotFoundError as error:
-        pytest.skip(f"{error.filename} is not installed")
-    if done.returncode:
-        pytest.skip(f"no network namespace here: {done.stderr.strip()}")
+RUN = 'exec python "$@"'
 
 
 def test_nodes_a_hand_a_page_and_commands(tmp_path: Path) -> None:
-    done = in_namespace(ROUTE, str(WALK), str(tmp_path))
+    done = in_namespace(ROUTE + RUN, str(WALK), str(tmp_path))
     assert done.returncode == 0, done.stderr
     records = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
     scanned = [record for record in records if "device" in record]
@@ -52,7 +33,7 @@ def test_nodes_a_hand_a_page_and_commands(tmp_path: Path) -> None:
 
 
 def test_a_bus_hears_others_but_not_itself_and_survives_foreign_datagrams() -> None:
-    done = in_namespace(ROUTE, "-c", """if True:
+    done = in_namespace(ROUTE + RUN, "-c", """if True:
         import socket
         import can
         from tipforce.host.network.interfaces import open_bus
@@ -72,7 +53,7 @@ def test_a_bus_hears_others_but_not_itself_and_survives_foreign_datagrams() -> N
 
 
 def test_a_machine_without_a_route() -> None:
-    done = in_namespace("", "-m", "tipforce_tools.cli.main", "scan", "-i", "udp_multicast", "-c", "239.74.163.2")
+    done = in_namespace(RUN, "-m", "tipforce_tools.cli.main", "scan", "-i", "udp_multicast", "-c", "239.74.163.2")
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert line.startswith("tipforce: udp_multicast, group 239.74.163.2: [Errno 19] No such device; without a network")
@@ -81,8 +62,8 @@ def test_a_machine_without_a_route() -> None:
 
 def test_doctor_opens_it() -> None:
     words = ("-c", "import tipforce_tools.doctor.machine as v; print(*map(repr, v.multicast_checks()))")
-    assert "state='ok'" in in_namespace(ROUTE, *words).stdout
-    assert "ip route add" in in_namespace("", *words).stdout
+    assert "state='ok'" in in_namespace(ROUTE + RUN, *words).stdout
+    assert "ip route add" in in_namespace(RUN, *words).stdout
 
 
 @pytest.mark.parametrize(

@@ -66,10 +66,22 @@ def test_the_place_follows_from_the_kernel(
     assert host.choose(["vcan0", "vcan1"]) == place
 
 
-def test_host_forced_on_a_kernel_without_vcan_says_what_to_try(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("platform", "words", "error", "message"),
+    [
+        ("linux", "--host -- true", EnvironmentLackError, r"vcan0, vcan1 cannot be created.*modprobe vcan"),
+        ("linux", "", InputError, r"tipforce vcan -- COMMAND"),  # no terminal, so no shell
+        ("darwin", "-- true", EnvironmentLackError, r"^vcan exists on Linux only.*darwin.*`tipforce demo`.*$"),
+    ],
+)
+def test_where_it_cannot_run_one_line_says_what_to_try(
+    platform: str, words: str, error: type[Exception], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fake_kernel(monkeypatch)
-    with pytest.raises(EnvironmentLackError, match=r"vcan0, vcan1 cannot be created.*modprobe vcan"):
-        vcan.run(parse("--host", "--", "true"))
+    monkeypatch.setattr(sys, "platform", platform)
+    monkeypatch.setattr(sys, "stdin", stdin(terminal=False))
+    with pytest.raises(error, match=message):
+        vcan.run(parse(*words.split()))
 
 
 def test_the_namespace_command_makes_every_bus_before_it_runs_the_command(
@@ -113,12 +125,6 @@ def stdin(*, terminal: bool) -> SimpleNamespace:
     return SimpleNamespace(isatty=lambda: terminal)
 
 
-def test_no_command_is_a_usage_error_without_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdin", stdin(terminal=False))
-    with pytest.raises(InputError, match=r"tipforce vcan -- COMMAND"):
-        vcan.run(parse())
-
-
 @pytest.mark.parametrize(("shell", "expected"), [("/bin/sh", "/bin/sh"), ("/no/such/shell", "bash"), ("", "bash")])
 def test_no_command_is_a_shell_on_a_terminal(
     shell: str, expected: str, monkeypatch: pytest.MonkeyPatch, asked: list[tuple[str, list[str]]]
@@ -151,12 +157,6 @@ def test_a_shell_is_told_where_it_is_and_what_becomes_of_its_files(
     assert said.out == ""
     vcan.run(parse(*flags, "--", "true"))
     assert capsys.readouterr().err == "", "a command's stderr is its own"
-
-
-def test_where_there_is_no_linux_one_line_says_what_works(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "platform", "darwin")
-    with pytest.raises(EnvironmentLackError, match=r"^vcan exists on Linux only.*darwin.*`tipforce demo`.*$"):
-        vcan.run(parse("--", "true"))
 
 
 def test_a_command_that_is_not_there_is_127_before_anything_boots(
@@ -341,3 +341,52 @@ def ended(process: int) -> bool:
         return Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
     except (FileNotFoundError, ProcessLookupError):
         return True
+
+
+# The library preloaded into User-mode Linux: what it does to ptrace(), and what is said where it cannot be built
+
+
+@pytest.mark.parametrize(("flags", "needed"), [("fpu amx_tile amx_int8", True), ("fpu avx512f", False), (None, False)])
+@pytest.mark.parametrize(
+    ("compiler", "lack"), [(None, "none is installed"), ("echo 'no crti.o' >&2; echo more >&2", "failed (no crti.o)")]
+)
+def test_without_a_compiler_that_works_one_line_says_so_and_amx_is_refused(
+    flags: str | None, needed: bool, compiler: str | None, lack: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    program, cpuinfo = tmp_path / "compiler", tmp_path / "cpuinfo"
+    if compiler:
+        program.write_text(f"#!/bin/sh\n{compiler}\nexit 1\n")
+        program.chmod(0o755)
+    if flags:
+        cpuinfo.write_text(f"processor\t: 0\nflags\t\t: {flags}\n")
+    monkeypatch.setattr(uml, "_COMPILERS", (str(program),))
+    what = f"{lack}: `apt-get install -y gcc libc6-dev` (as root)"
+    if needed:
+        with pytest.raises(EnvironmentLackError) as refused:
+            uml.preloading(tmp_path, cpuinfo)
+        assert str(refused.value).startswith("User-mode Linux on a processor with AMX ")
+        assert str(refused.value).endswith(what)
+    else:
+        assert uml.preloading(tmp_path, cpuinfo) == {}
+        assert capsys.readouterr().err.endswith(f"{what}; this processor does not need it\n")
+
+
+def _larger_than_576_bytes() -> bool:
+    """Has this processor AVX, so that its floating-point state is larger than the beginning that the test sets?"""
+    cpuinfo = Path("/proc/cpuinfo")
+    return cpuinfo.exists() and "avx" in cpuinfo.read_text().split()
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is missing: apt-get install gcc")
+@pytest.mark.skipif(not _larger_than_576_bytes(), reason="no x86 processor with AVX under Linux")
+def test_the_beginning_of_the_state_is_set_and_the_rest_stays(tmp_path: Path) -> None:
+    """What AMX does to 2696 bytes happens to 576 bytes on every processor with AVX."""
+    program = tmp_path / "set_xstate"
+    subprocess.run(["gcc", "-o", str(program), str(Path(__file__).with_name("set_xstate.c"))], check=True)
+
+    def said(**environment: str) -> str:
+        return subprocess.run([str(program)], env=environment, capture_output=True, text=True, check=True).stdout
+
+    assert said() == "larger, EFAULT, not arrived, the rest as it was\n", "the kernel as it is"
+    assert said(**uml.preloading(tmp_path)) == "larger, set, arrived, the rest as it was\n"

@@ -1,6 +1,7 @@
 """Wrong inputs: one line that names the place and the next step, and the documented exit code."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +11,13 @@ from host.bus_with_nodes import connected, finger, new_channel
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.scene import beam_calibration
 from tipforce.sensor.calibration.simulation import simulate
+from tools.blocks import CONTACTS_LOG
 from tools.rig import Tipforce, write_readings
 
 SCENES = Path(__file__).parents[2] / "scenes"
-LOG = "".join(f"({1700000000 + k / 1000:.6f}) vcan0 285#2E1129239A1103{k:02X}\n" for k in range(50))
 EXTENDED = "".join(f"(1700000000.{k:06d}) can0 18FEF1{k:02X}#0102030405060708\n" for k in range(40))
 FILES = {
-    "run.log": LOG, "j1939.log": EXTENDED, "other.log": EXTENDED.replace("18FEF1", "3"),
+    "run.log": CONTACTS_LOG, "j1939.log": EXTENDED, "other.log": EXTENDED.replace("18FEF1", "3"),
     "prose.txt": "these are no frames\n", "broken.blf": "XXXX" + 200 * "x", "noise.asc": "\x01\x02\x03",
     "bad.toml": "[hand\n", "empty.toml": "", "hand.toml": '[[finger]]\nnode_id = 1\ncalibration = "none.toml"\n',
     "one.toml": "[[finger]]\nnode_id = 1\n", "taken/bus.yml": "routes: 12\n",
@@ -34,7 +35,9 @@ FILES = {
     "node.toml": "duration_s = 1\n[[node]]\n", "nan.csv": "SG1,SG2,SG3,P_N,phi_deg,theta_deg\n1,2,3,nan,0,0\n",
     "inf.toml": "[[finger]]\nnode_id = inf\n", "fast.toml": "[hand]\nsync_hz = 1e12\n[[finger]]\nnode_id = 1\n",
     "names.toml": '[[finger]]\nname = "\u261d"\nnode_id = 1\n[[finger]]\nname = "\u261d"\nnode_id = 2\n',
-    "empty.log": "", "static.toml": (SCENES / "static.toml").read_text(),
+    "empty.log": "", "static.toml": (SCENES / "static.toml").read_text(), "timed.csv": "t_s,SG1,SG2,SG3\n0,1,2,3\n",
+    "words.csv": "t_s,SG1,SG2,SG3\n0,1,2,x\n", "timed4.csv": "t_s,SG1,SG2,SG3,SG4\n0,1,2,3,4\n",
+    "gauges.log": "(1.0) can0 185#0A00ECFF1E000201\n",
 }  # fmt: skip
 _UNIT = "[[1e4, 0, 0], [0, 1e4, 0], [0, 0, 1e4]]"
 NO_SENSOR = {  # calibrations that no sensor can have: matrix, variance and covariance of SG1 with SG2, what is said
@@ -58,6 +61,7 @@ MACROS = {
     "FIT": "calibrate fit data.csv --saturation none", "GUIDE": "calibrate guide --node 5 --auto -q --session s.csv",
     "ESTIMATE": "estimate cal.toml readings.csv", "PLOT": "plot run.log -o x.png",
     "OPTIMISE": "design optimise --starts 2",
+    "STEEP": "the condition number of C exceeds the limit 2105h:1, or its 2-norm exceeds 1e7 N per unit strain",
     "SHIPPED": ", ".join(sorted(path.stem for path in SCENES.glob("*.toml"))),
     "NO_LOG": "prose.txt: no frames in it; is it a log? line 1: 'these are no frames'",
     "NO_BUS": "no bus given: no CAN interface here; use -i and -c, as in -i slcan -c /dev/ttyACM0",
@@ -233,6 +237,14 @@ WRITE soon NOBODY => '@' is not UNSIGNED16: write a number as 10 or 0x0A
 sdo write 5 0x2141 0 xx NOBODY => '@' is not DOMAIN: write hex bytes
 NODE --source adc => % @: allowed are sim, iio:DEVICE[,DEVICE...], replay:FILE
 NODE --source iio:device0 => --layout I: the gauges of a real converter need a [bridge] table
+NODE --source replay:readings.csv => column t_s is missing
+NODE --source replay:words.csv => line 2
+NODE --source replay:timed4.csv => 4 gauges; the layout has 3
+NODE --source replay:timed.csv --speed 0 => speed 0.0
+NODE --source replay:prose.txt => no gauge PDO, and no CSV header with SG1
+NODE --source replay:gauges.log@9 => no gauge PDO of node 9
+NODE --source replay:gauges.log@0 => '0' after
+NODE --source replay:none => No such file
 NODE --noise -1 | NODE --noise nan | NODE --noise inf => %: '@': allowed is 0 to 1e+06
 NODE --scan-rate 0 => %: '@': allowed is above 0 up to 100000 Hz
 NODE --load 1,2 | NODE --load 1,2,x | NODE --load nan,0,0 | NODE --load 1,inf,0 => % '@': expected 3 numbers
@@ -240,6 +252,7 @@ NODE --offset 1,2 | NODE --offset 1,2,nan => % '@': expected 3 numbers
 NODE --load 1e300,0,0 => allowed is a force up to 1e+09 N
 NODE --offset 1e300,1,1 => allowed is up to 1e+06 microstrain
 NODE --store . => : is a directory
+NODE --priority 100 => allowed are 1 to 99
 vcan --interfaces vcan0, -- true => '': allowed are a letter
 vcan --interfaces ../x -- true | vcan --interfaces vcan0;reboot -- true => allowed are a letter
 vcan --interfaces a234567890123456 -- true => allowed are a letter
@@ -287,7 +300,6 @@ OPTIMISE --gauge-length 100 => no design found within the limits
 OPTIMISE --starts 0 => 0 starts: allowed is 1 or more
 calibrate budget --gravity nan => %: '@'
 calibrate budget --phi 1e9 --theta 0 => --phi: '1e9': allowed are degrees from -360 to 360
-calibrate budget nothing.toml => calibration @
 conformance --node-id 5 --case nosuch => matches no case
 conformance --node-id 5 --tolerance -1 => --tolerance -1
 scan -i socketcan -c nowhere9 => check -i and -c
@@ -306,8 +318,9 @@ GUIDE --grooves x30,z20 BUS => 'z20': allowed are paper, or grooves: x30,y60
 GUIDE --grooves y190 BUS => theta 0 to 180
 GUIDE --grooves x30,x45 BUS => cannot show
 GUIDE --plan none.toml BUS => @: No such file
+GUIDE --session two.csv BUS | GUIDE --session prose.txt BUS | GUIDE --session binary.toml BUS => session @
 calibrate budget -o no/b.png => does not exist; create it first
-calibrate budget folder.toml | calibrate budget binary.toml => calibration @
+calibrate budget nothing.toml | calibrate budget folder.toml | calibrate budget binary.toml => calibration @
 run grsp | run --explain grsp | view grsp => grsp: no such file; by name ship SHIPPED
 estimate empty.toml readings.csv => empty.toml: calibration is missing
 hand check inf.toml => node_id is inf: allowed are finite numbers
@@ -350,6 +363,7 @@ READ 0x3000 0 u8 BUS => object does not exist
 sdo write 5 0x1000 1 BUS => read-only
 tare 5 BUS => the node is not calibrated: `tipforce calibrate apply CAL.toml --node 5` first
 exit 12
+calibrate apply steep.toml --node 5 --no-store -q BUS => node 5 rejected the calibration (0x06090031): STEEP
 lss store --serial 1005 --product 0x54500103 BUS => no memory
 """
 
@@ -383,7 +397,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (found / "binary.toml").write_bytes(bytes(range(250, 0, -1)))
     (found / "folder.toml").mkdir()
     (found / "link.csv").symlink_to(found / "readings.csv")
-    write_calibration(found / "cal.toml", beam_calibration("I", pull=True))
+    cal = beam_calibration("I", pull=True)
+    write_calibration(found / "cal.toml", cal)
+    write_calibration(found / "steep.toml", replace(cal, C=cal.C * [1.0, 1.0, 1e-5]))
     write_readings(found / "data.csv", simulate("I", np.random.default_rng(4)))
     return found
 
