@@ -3,8 +3,7 @@
     pip install atheris
     python -m bench.atheris_sdo sdo|storage -max_total_time=60
 
-Further arguments go to libFuzzer (a corpus directory, -runs=N, ...). It stops at the first exception.
-"""
+Further arguments go to libFuzzer (a corpus directory, -runs=N, ...). It stops at the first exception."""
 
 import importlib
 import sys

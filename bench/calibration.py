@@ -4,8 +4,7 @@ python -m bench.calibration                 20 calibrations and 2000 simulations
 python -m bench.calibration --quick         60 simulations a condition
 
 Exit code 1 where the fit is more than 1.15 times as far off as the one that knows, or the intervals of C hold the
-truth in fewer than 93 or more than 97 per cent.
-"""
+truth in fewer than 93 or more than 97 per cent."""
 
 import os
 from dataclasses import dataclass, replace

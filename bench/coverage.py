@@ -1,8 +1,7 @@
 """How often do nominal 95 % intervals of P, phi, theta hold the truth?
 
 python -m bench.coverage                       the tables of docs/uncertainty.md (some minutes)
-python -m bench.coverage -o FILE.png           a plot, .png or .svg
-"""
+python -m bench.coverage -o FILE.png           a plot, .png or .svg"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -148,8 +147,7 @@ def estimates(
 ) -> tuple[FloatArray, FloatArray]:
     """(F, covariance) of one new reading per calibration: C S C^T (1 + G^T N^-1 G), G = (F, 1).
 
-    with_one False leaves the 1 out of G and N, as if the offset were known: what the study shows to be wrong.
-    """
+    with_one False leaves the 1 out of G and N, as if the offset were known: what the study shows to be wrong."""
     V = true_F @ A.T + sigma * rng.normal(size=calibrated.offset.shape)
     F: FloatArray = np.einsum("tij,tj->ti", calibrated.C, V - calibrated.offset)
     G = np.column_stack([F, np.ones(len(F))]) if with_one else F
@@ -182,8 +180,7 @@ def without_the_one(rng: np.random.Generator, trials: int) -> list[dict[str, flo
     """What the offset's own uncertainty is worth: coverage with and without the 1 in G, case I, SNR 100.
 
     leverage_ratio is G^T N^-1 G over the same without the 1, on the mean and at worst over such loads all over the
-    pad: how much too little variance the part gets that the calibration contributes.
-    """
+    pad: how much too little variance the part gets that the calibration contributes."""
     A, C = strain_matrix(FABRICATED, "I"), calibration_matrix(FABRICATED, "I")
     sigma = P_NEWTONS / 100.0 * sqrt(3.0) / noise_gain(C)
     rows: list[dict[str, float | str]] = []

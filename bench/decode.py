@@ -2,8 +2,7 @@
 
 `python -m bench.decode` writes build/bench/decode-performance.md. asammdf has an environment of its own, for python-can
 imports it where it is: `--asammdf` makes build/bench-venv (once). `--check`: every value of a million frames against
-cantools.
-"""
+cantools."""
 
 import json
 import math
@@ -58,8 +57,7 @@ Runs = dict[str, list[dict[str, float]]]  # by method: what each of its runs mea
 def hand_traffic(count: int, nodes: int, seed: int) -> FrameArray:
     """``count`` frames: the SYNC, TPDO1 and TPDO2 of ``nodes``, and a foreign frame of 0 to 8 bytes, in each cycle.
 
-    One value in twenty is unknown or at a limit.
-    """
+    One value in twenty is unknown or at a limit."""
     random = np.random.default_rng(seed)
     ids = [base + node for node in range(1, nodes + 1) for base in (0x180, 0x280)]
     cycle = np.array([0x080, *ids, 0x5C0], dtype=np.uint32)

@@ -1,8 +1,7 @@
 """One way to decode a log, in a process of its own: `python -m bench.decode_methods METHOD LOG` prints a JSON line.
 
 The time is the processor's, of the work alone: without start-up and imports. ``sum`` adds the first value of each
-PDO that is not unknown, where a method gets that far: the same for all of them.
-"""
+PDO that is not unknown, where a method gets that far: the same for all of them."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 python -m bench.device                 everything, about a minute and a half
 python -m bench.device costs           inside one process
-python -m bench.device latency cpu     over loopback sockets
-"""
+python -m bench.device latency cpu     over loopback sockets"""
 
 import contextlib
 import gc

@@ -1,8 +1,7 @@
 """The documents that are made.
 
 python -m bench.documents generated    docs/commands.md, counts in docs/conformance.md (`make generate`)
-python -m bench.documents report       verdict and recommendations of `make report`, in docs/report.md
-"""
+python -m bench.documents report       verdict and recommendations of `make report`, in docs/report.md"""
 
 import argparse
 import html

@@ -3,8 +3,7 @@
     python -m bench.exponents    five lines for docs/performance.md; some minutes
 
 The exponent is the slope of log cost over log work by least squares: 1 where cost is proportional to work, less where a
-constant part counts. The range is that of the slopes of single rounds; within a round, the sizes take turns.
-"""
+constant part counts. The range is that of the slopes of single rounds; within a round, the sizes take turns."""
 
 import statistics
 import tempfile

@@ -1,7 +1,6 @@
 """`python -m bench.export_c`: the exported C estimator: agreement with Python, and its size on a Cortex-M4.
 
-Every sample is held to the bound derived in tests/export_c/estimators.py; the first one beyond it ends the run.
-"""
+Every sample is held to the bound derived in tests/export_c/estimators.py; the first one beyond it ends the run."""
 
 import shutil
 import subprocess

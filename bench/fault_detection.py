@@ -4,8 +4,7 @@
     python -m bench.fault_detection -o FILE.png     a plot, .png or .svg
 
 Single readings of gauges with equal noise, under pushes all over the pad. A fault is an offset (strain that jumps), a
-gauge stuck at its unloaded reading, or a gain (part of the strain is lost).
-"""
+gauge stuck at its unloaded reading, or a gain (part of the strain is lost)."""
 
 from dataclasses import dataclass
 
@@ -125,8 +124,7 @@ def false_alarms(trials: int, seed: int = SEED) -> dict[str, float]:
 def weights(calibrations: int) -> dict[str, tuple[float, float]]:
     """What it costs to weigh C by one covariance and store another: (false alarms %, RMS error of F without U, N).
 
-    Five gauges of equal independent noise, whose covariance each calibration estimates from its residuals.
-    """
+    Five gauges of equal independent noise, whose covariance each calibration estimates from its residuals."""
     rng = np.random.default_rng(SEED)
     A, batch = position_matrix(FABRICATED, list(FIVE.values())), 200
     names = ("variances, full covariance stored", "variances, variances stored", "full covariance, the same stored")
@@ -154,8 +152,7 @@ def weights(calibrations: int) -> dict[str, tuple[float, float]]:
 def separation(model: Parity) -> FloatArray:
     """The sine of the angle between the parity directions of each two gauges (n, n); NaN of invisible ones.
 
-    0: the two cannot be distinguished. Small: only by a fault larger by 1 / sine than the smallest visible one.
-    """
+    0: the two cannot be distinguished. Small: only by a fault larger by 1 / sine than the smallest visible one."""
     length = np.sqrt(np.where(model.visible > 0.0, model.visible, np.nan))
     cosine = (model.W / length).T @ (model.W / length)
     sine: FloatArray = np.sqrt(np.clip((1.0 - cosine) * (1.0 + cosine), 0.0, None))

@@ -2,8 +2,7 @@
 
 python -m bench.fem                    everything, as the Markdown tables of docs/finite-elements.md (minutes)
 python -m bench.fem --quick            small meshes
-python -m bench.fem -o docs/figures    writes fem-outline.png and fem-work-precision.png too
-"""
+python -m bench.fem -o docs/figures    writes fem-outline.png and fem-work-precision.png too"""
 
 from __future__ import annotations
 
@@ -102,8 +101,7 @@ def corner_exponents(cells: int) -> list[Exponent]:
     """Displacement ~ r^lambda at the joint (S), on its two faces.
 
     Elongation from the corner along a face, of both faces at one distance from it: the sum has the symmetric mode
-    alone, the difference the antisymmetric one; rigid motion cancels. Slopes between 1e-3 and 1e-2 of a thickness.
-    """
+    alone, the difference the antisymmetric one; rigid motion cancels. Slopes between 1e-3 and 1e-2 of a thickness."""
     solution, g = solve(Model(resolution=Resolution(cells, 5.5))), STATED.geometry
     r = np.geomspace(1e-3, 1e-2, 15) * g.h1_m
     elongations = []
@@ -156,8 +154,7 @@ def outer_gauges(position_m: float) -> dict[str, GaugePosition]:
 def gauge_variants(solution: Solution) -> dict[str, list[float]]:
     """L and R elsewhere; K, S and U further from their corners; gauges of other lengths, each beginning at its corner.
 
-    The others are where they fit, 1 mm long. Beyond 14.5 mm a part of the gauge is glued under the leg.
-    """
+    The others are where they fit, 1 mm long. Beyond 14.5 mm a part of the gauge is glued under the leg."""
     places_mm = (15.25, 15.0, 14.75, 14.5, 14.0, 13.5, 13.0)
     variants = {f"L, R at {x:g} mm": conditions_at(solution, outer_gauges(x * 1e-3)) for x in places_mm}
     for shift_mm in (0.0, 0.25, 0.5, 1.0):
@@ -207,8 +204,7 @@ def matches(solution: Solution, cells: int) -> list[Match]:
 def one_body(cells: int) -> tuple[float, float, list[float]]:
     """Legs and fillets, mm, that give ANSYS's I and III at once, solved for in turn; II is then a check.
 
-    The condition numbers returned are those of this body on a mesh twice as fine.
-    """
+    The condition numbers returned are those of this body on a mesh twice as fine."""
 
     def body(leg: float, fillet: float, n: int = cells) -> list[float]:
         changed = _body(leg_m=leg * 1e-3, fillet_m=fillet * 1e-3)
@@ -396,8 +392,7 @@ def work_precision_figure(
 ) -> Figure:
     """Error against run time, uniform and graded: worst condition number, and strain matrix.
 
-    condition: (3,) limits of the cases; matrix: (5, 3) limit; known: the relative errors of these references.
-    """
+    condition: (3,) limits of the cases; matrix: (5, 3) limit; known: the relative errors of these references."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 4.0), layout="constrained")

@@ -4,8 +4,7 @@
 
 MicroPython is the WebAssembly build that the tests use: its heap has pointers of 32 bits as a microcontroller's, its
 speed is that of this machine, and its times hold no collection of garbage. Of the fakes of three NAU7802 and an MCP2515
-the time counts, the heap does not.
-"""
+the time counts, the heap does not."""
 
 import statistics
 import sys

@@ -5,8 +5,7 @@
     python -m bench.firmware_image --key program.key --version 0.1.1 -o program.bin
 
 The key is the content of the file, 1 to 64 bytes: `PROGRAM_KEY` in the loader's board.py, given to the board over its
-cable. `mpy-cross` compiles for the bytecode version of its own MicroPython; the boards must run that one.
-"""
+cable. `mpy-cross` compiles for the bytecode version of its own MicroPython; the boards must run that one."""
 
 import argparse
 import re

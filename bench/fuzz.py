@@ -6,8 +6,7 @@
     python -m bench.fuzz --eds 500_000            steps of devices of EDS files: a fingertip's and a drive's
 
 A round is one node from power-on through some thousand frames; it follows from the seed and its number alone. When
-an invariant breaks, the frames of that round are reduced to the few that break it and printed.
-"""
+an invariant breaks, the frames of that round are reduced to the few that break it and printed."""
 
 import multiprocessing
 import os

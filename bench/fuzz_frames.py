@@ -1,7 +1,6 @@
 """What the frame fuzzer throws at a node: whole conversations, broken ones, and noise.
 
-All of it follows from the ``Random`` that is handed in and from what the node answered: a seed repeats a round.
-"""
+All of it follows from the ``Random`` that is handed in and from what the node answered: a seed repeats a round."""
 
 import binascii
 import struct

@@ -5,8 +5,7 @@
     python -m bench.fuzz_sdo --seed 1 --only 4711          the requests of conversation 4711 of seed 1
 
 A conversation is one transfer with the device core as the server, in fake time; on its way each response may be
-disturbed. It follows from the seed and its number alone.
-"""
+disturbed. It follows from the seed and its number alone."""
 
 import gc
 import heapq
@@ -52,8 +51,7 @@ class Response:
 def play(transfer: Transfer, server: Callable[[int, bytes], Iterable[Response]], latest_us: int) -> list[bytes]:
     """Let a transfer and ``server(now_us, request)`` talk in fake time; return the requests.
 
-    Raises BrokenError unless it ends by ``latest_us``, with at most one abort, its last request.
-    """
+    Raises BrokenError unless it ends by ``latest_us``, with at most one abort, its last request."""
     now_us, aborts, order = 0, 0, itertools.count()
     flight: list[tuple[int, int, Response]] = []
     requests: list[bytes] = []

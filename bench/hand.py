@@ -3,8 +3,7 @@
     python -m bench.hand           5 fingers at 1 kHz, 15 at 400 Hz, 600 s each; build/bench/hand-performance.md
     python -m bench.hand --rows    what a row of five fingers costs, beside plain struct code; instructions by valgrind
 
-The host is a real Hand with the receiver of SocketCAN; see loopback.py for the bus.
-"""
+The host is a real Hand with the receiver of SocketCAN; see loopback.py for the bus."""
 
 import argparse
 import shutil

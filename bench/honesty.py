@@ -219,8 +219,7 @@ def false_alarms(gauges: int, rows: int, seed: int) -> int:
 def drifting(gauge: int, seed: int) -> tuple[int, int, float]:
     """(samples, samples that show a P off by more than five u(P), share of those after the find that have a P).
 
-    Five gauges under one steady load at 1 kHz for ten seconds, of which one drifts by 50 microstrain/s.
-    """
+    Five gauges under one steady load at 1 kHz for ten seconds, of which one drifts by 50 microstrain/s."""
     rng = np.random.default_rng([seed, gauge])
     sensor = _Sensor.of(5, rng)
     calibration = sensor.calibrated(Rig(), rng, "clean")

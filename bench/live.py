@@ -3,8 +3,7 @@
     python -m bench.live    about five minutes, and writes build/bench/live-performance.md
 
 Frames are ``struct can_frame`` in datagrams between connected UDP sockets on 127.0.0.1; what reads them is the code
-that reads SocketCAN. Costs are CPU time of ways that take turns.
-"""
+that reads SocketCAN. Costs are CPU time of ways that take turns."""
 
 import socket
 import statistics

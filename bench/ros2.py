@@ -5,8 +5,7 @@
                                                   a scene update of its MCAP file
 
 In a network namespace of its own. Fingers, SYNC, host (a Hand and the bridge of the command) and reader are processes
-of their own. Exit code 1 if less than 99.9 % of the wrenches that decode gives arrive, or one differs.
-"""
+of their own. Exit code 1 if less than 99.9 % of the wrenches that decode gives arrive, or one differs."""
 
 import argparse
 import json

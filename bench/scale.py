@@ -1,8 +1,7 @@
 """Decoding with one and two workers, the serial part, and the limits of a dataset.
 
 `python -m bench.scale [--frames 10000000]`: the runs of one and two workers take turns.
-Processor seconds are of all processes of a run; other work on the machine disturbs them less than the clock.
-"""
+Processor seconds are of all processes of a run; other work on the machine disturbs them less than the clock."""
 
 import os
 import shutil

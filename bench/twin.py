@@ -4,8 +4,7 @@
     python -m bench.twin --figure    docs/figures/mujoco-grasp.png
 
 Physics and twin are timed in turns, of ``hand_model`` holding a ball. The errors are those of ``grasp_model`` with 2 N
-of motor force against a reference with short steps and stiff contacts.
-"""
+of motor force against a reference with short steps and stiff contacts."""
 
 import os
 import sys

@@ -4,8 +4,7 @@
     python -m bench.view --screenshots    docs/figures/view-*.png, from the simulated hand
 
 A process of its own sends SYNC, contact and gauge PDOs of all fingers through a loopback socket into the live receive
-path; the page runs in headless Chromium. "lost rows" are SYNCs that did not become a whole row.
-"""
+path; the page runs in headless Chromium. "lost rows" are SYNCs that did not become a whole row."""
 
 import contextlib
 import math

@@ -20,8 +20,7 @@ settings.load_profile("tipforce")
 def no_waiting_for_the_disk() -> Iterator[None]:
     """A node that stores syncs its file: on a disk that others use for seconds, in which no response comes.
 
-    Nodes in processes of their own, which are killed at any instant, do sync.
-    """
+    Nodes in processes of their own, which are killed at any instant, do sync."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", lambda _descriptor: None)
         yield

@@ -4,8 +4,7 @@
     python tests/test_costs.py --instructions    instructions of a unit by valgrind, for `make long`; half an hour
 
 Calls of functions of the product, and calls of C functions in them, count. Comprehensions do not: later versions of
-Python do not call them. Paths with a body in the compiled core cost less with it.
-"""
+Python do not call them. Paths with a body in the compiled core cost less with it."""
 
 import json
 import os

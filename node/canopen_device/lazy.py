@@ -10,8 +10,7 @@ def lazy(package: "Mapping[str, object]") -> "tuple[Callable[[str], object], Cal
     """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package, whose globals are given.
 
     The names are those that its source imports for type checkers, one a line: " from MODULE import NAME as PUBLIC"; a
-    program without sources has them in the code of the package.
-    """
+    program without sources has them in the code of the package."""
     spec: object = package["__spec__"]
     loader, path = spec.loader, spec.origin  # type: ignore[attr-defined]
     places: dict[str, tuple[str, str]] = {}

@@ -44,8 +44,7 @@ def convert(kind: type[T], content: object, place: str, finite: bool = True) -> 
     structs (also among plain values), of which the key ``kind`` selects one of a tagged union. A struct without
     ``forbid_unknown_fields`` ignores unknown keys, unless one resembles a missing one. Raises InputError for an unknown
     key (with the nearest known one), a missing one, a wrong type, a value outside its limits, and a number that is not
-    finite; ``finite`` False leaves that check, which values of free keys always need, to the caller.
-    """
+    finite; ``finite`` False leaves that check, which values of free keys always need, to the caller."""
     if not isinstance(content, Mapping):
         raise InputError(f"{place} is {_shown(content)}: allowed is a table")
     fields = {field.encode_name: field for field in msgspec.structs.fields(kind)}

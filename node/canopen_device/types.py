@@ -1,7 +1,6 @@
 """The data types of the dictionary: codes, names, sizes, bytes and text (CiA 301, 7.4.7; CiA 309-3, data types). A type
 is named by a letter: that of ``struct``, "s" a VISIBLE_STRING, "o" an OCTET_STRING, "u" a UNICODE_STRING, "D" a DOMAIN,
-"t" TIME_OF_DAY and "T" TIME_DIFFERENCE (six bytes), "i3" to "i7" and "u3" to "u7" integers of 24 to 56 bits.
-"""
+"t" TIME_OF_DAY and "T" TIME_DIFFERENCE (six bytes), "i3" to "i7" and "u3" to "u7" integers of 24 to 56 bits."""
 
 import operator
 import struct

@@ -4,8 +4,7 @@ Register facts (SBAS501C, section 8.6): 0: MUX 7-4, GAIN 3-1, PGA_BYPASS 0. 1: D
 2: VREF 7-6, 50/60 5-4, PSW 3, IDAC 2-0. 3: DRDYM 1. Commands: RESET 06h, START 08h, RREG 2rh | count - 1, WREG 4rh |
 count - 1. DRDY falls when a result is ready and rises with the first clock of its 24 bits. Writing a register while it
 converts continuously restarts the conversion, and the filter settles in one. MUX 0000: AIN0 - AIN1, 0101: AIN2 - AIN3,
-1110: both inputs to mid-supply, which shows the offset. TS: 14 bits at the left, 0.03125 degC each.
-"""
+1110: both inputs to mid-supply, which shows the offset. TS: 14 bits at the left, 0.03125 degC each."""
 
 from .source import CONVERSIONS_LOST, SUPPLY, Chip, choice, signed24
 
@@ -35,8 +34,7 @@ class Ads1220(Chip):
 
     ``reference`` is "ref0" for a bridge supplied from REFP0 and REFN0 (ratiometric), "ref1", "supply" or "internal".
     The offset is measured at the start with shorted inputs, and subtracted. The chip's temperature is read every ten
-    seconds, at the cost of one conversion. Raises ValueError for a setting that the chip does not have.
-    """
+    seconds, at the cost of one conversion. Raises ValueError for a setting that the chip does not have."""
 
     def __init__(
         self, spi: "Any", cs: "Any", drdy: "Any", channels: int = 1, gain: int = 128, rate: int = 1000,

@@ -4,8 +4,7 @@ Facts of the data sheet (DS20001801, sections 5, 10 to 12): instructions RESET C
 READ RX BUFFER 90h and 94h (clears the buffer's flag), LOAD TX BUFFER 40h, RTS 81h, READ STATUS A0h (bit 0 RX0IF, 1
 RX1IF, 2 TXREQ of buffer 0). A quantum is 2 (BRP + 1) / f_osc; a bit has 1 for synchronisation, then PropSeg, PS1 and
 PS2; PS2 is 2 at least and more than SJW. Configuration mode clears the error counters. Registers: CANSTAT 0Eh, CANCTRL
-0Fh, CNF3 28h, CNF2 29h, CNF1 2Ah, CANINTF 2Ch, EFLG 2Dh, TXB0CTRL 30h, RXB0CTRL 60h, RXB1CTRL 70h.
-"""
+0Fh, CNF3 28h, CNF2 29h, CNF1 2Ah, CANINTF 2Ch, EFLG 2Dh, TXB0CTRL 30h, RXB0CTRL 60h, RXB1CTRL 70h."""
 
 import time
 

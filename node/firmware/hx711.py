@@ -4,8 +4,7 @@ Facts of the data sheet: DOUT low says that a conversion is ready; each rising e
 significant first, and the 25th puts DOUT high again. 25, 26 or 27 pulses in all choose what is converted next: channel
 A with gain 128, B with 32, A with 64. PD_SCK high for 60 us switches the chip off; low again resets it, to channel A
 with gain 128. After a reset or a change of input the output settles within four conversions. The pin RATE chooses 10 or
-80 conversions a second.
-"""
+80 conversions a second."""
 
 from .source import CONVERSIONS_LOST, Chip, choice, signed24
 
@@ -26,8 +25,7 @@ class Hx711(Chip):
 
     ``lock`` and ``unlock`` disable interrupts while 25 bits are read: ``machine.disable_irq`` and
     ``machine.enable_irq``. An interrupt while PD_SCK is high would power the chip down. Raises ValueError for a gain or
-    a rate that the chip does not have.
-    """
+    a rate that the chip does not have."""
 
     _retry_us = 0
 

@@ -4,8 +4,7 @@ Register facts (data sheet revision 1.7, section 11): 00h PU_CTRL: RR 0, PUD 1, 
 AVDDS 7. 01h CTRL1: GAINS 2-0, VLDO 5-3. 02h CTRL2: CALMOD 1-0, CALS 2, CAL_ERR 3, CRS 6-4, CHS 7. 12h-14h ADCO, most
 significant byte first. 15h: 30h turns the chopper's clock off. 1Ch: PGA_CAP_EN 7, the capacitor across the second
 channel's inputs. Power-up: RR, then PUD, PUR within 200 us. CALS goes back to zero when a calibration ends; CAL_ERR
-then tells whether it failed. After a change of channel the filter needs some conversions to settle.
-"""
+then tells whether it failed. After a change of channel the filter needs some conversions to settle."""
 
 from .source import CONVERSIONS_LOST, SUPPLY, Chip, choice, signed24
 
@@ -33,8 +32,7 @@ class Nau7802(Chip):
 
     ``channels`` is 1 or 2; with two each reading takes ``discard`` + 1 conversions per channel. ``ldo_millivolts`` is
     the bridge supply from the chip's regulator, 0 for an external AVDD. The chip calibrates the offset of amplifier and
-    converter at each start, for each channel. Raises ValueError for a setting that it does not have.
-    """
+    converter at each start, for each channel. Raises ValueError for a setting that it does not have."""
 
     def __init__(
         self, i2c: "Any", channels: int = 1, gain: int = 128, rate: int = 320, ldo_millivolts: int = 3000,

@@ -18,8 +18,7 @@ class Chip:
     """A converter of 24 bits: ``period_us`` of a whole reading, ``faults`` of 2124h, ``temperature`` in 0.01 degC.
 
     A driver is the generator ``_run``: it resets the chip, and each ``yield`` ends a step, with the counts of all
-    channels or None. An OSError in it, also one of the bus, starts it again after ``_retry_us``.
-    """
+    channels or None. An OSError in it, also one of the bus, starts it again after ``_retry_us``."""
 
     bits, count_min, count_max = 24, -0x800000, 0x7FFFFF
     channels = 1
@@ -52,8 +51,7 @@ class Gauges(Source):
 
     ``counts_per_microstrain`` combines bridge, gauge factor, gain and reference: the default of 6122h, which a
     calibration replaces. A reading needs a new conversion of every chip; without one the core reports no data (2124h
-    bit 8) after 100 ms. Raises ValueError without chips, or for chips of unequal ranges.
-    """
+    bit 8) after 100 ms. Raises ValueError without chips, or for chips of unequal ranges."""
 
     def __init__(self, chips: "list[Chip]", counts_per_microstrain: float) -> None:
         if not chips:

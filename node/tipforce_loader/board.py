@@ -1,7 +1,6 @@
 """Settings of one board: change this file, and none of the others. The example is an ESP32 with two NAU7802 (three
 gauges, two of them on the first chip) and an MCP2515; if the microcontroller has its own controller, ``can_number``
-selects it and the MCP2515's pins are not used.
-"""
+selects it and the MCP2515's pins are not used."""
 
 NODE_ID = 5  # 1 to 127; 255 waits for LSS
 BIT_RATE = 1000000

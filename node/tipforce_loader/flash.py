@@ -1,7 +1,6 @@
 """Parameters in flash: two slots, each with all groups and a CRC; a save overwrites the older one. A power failure at
 any byte of a save leaves the other slot unchanged, so a load returns all old or all new content. A slot: magic,
-sequence number, length, CRC-32 over these and the content; the content has one record per group.
-"""
+sequence number, length, CRC-32 over these and the content; the content has one record per group."""
 
 import binascii
 import os

@@ -3,8 +3,7 @@
 The slot that starts is a record in a store of its own, which replaces it as a whole (``flash``). A download changes no
 record, so a power cut at any byte leaves the old program. ``start`` puts the new one on trial: it is started once, and
 the next restart returns to the old one unless ``confirm`` came before. If no slot is sound, the program starts that was
-copied to the board's file system with the loader.
-"""
+copied to the board's file system with the loader."""
 
 from . import image
 from .flash import FileSlots
@@ -32,8 +31,7 @@ class Programs:
 
     Call ``choose`` at power-on, ``confirm`` when the program has proved healthy. ``product`` is 1018h:2. ``version`` is
     that of the program on the file system, after ``choose`` of the running one, as is ``crc`` (0 on the file system).
-    ``reason`` says why the last download or trial failed (``image``), else 0.
-    """
+    ``reason`` says why the last download or trial failed (``image``), else 0."""
 
     def __init__(self, slots: "ProgramSlots", store: "FlashStore", key: bytes, product: int, version: str) -> None:
         self._slots, self._store, self._key, self._product = slots, store, key, product

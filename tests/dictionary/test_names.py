@@ -183,8 +183,7 @@ def complaints(source: str, place: str, allowed: tuple[str, ...] = ()) -> Iterat
     """One line for each literal of a wire fact.
 
     The lower end of INTEGER32, -0x80000000, is none. 0x80 is one in a sum only (EMCY and a node-id): it is also an SDO
-    and an LSS command and a bit.
-    """
+    and an LSS command and a bit."""
     nodes, lines = list(ast.walk(ast.parse(source))), source.splitlines()
     negated = {node.operand for node in nodes if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub)}
     sums = [node for node in nodes if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add)]

@@ -2,8 +2,7 @@
 
 A line ``$ COMMAND`` of a console block is a call of ``shell(COMMAND)``, and the lines below it are what it prints.
 ``tipforce`` runs in this process, anything else in bash. ``<!-- test: STATEMENT -->`` is Python that the reader does
-not see. A ```` ```toml ```` or other block whose info string has ``title="NAME"`` is written to that file.
-"""
+not see. A ```` ```toml ```` or other block whose info string has ``title="NAME"`` is written to that file."""
 
 import contextlib
 import doctest
@@ -32,8 +31,7 @@ Shell = Callable[[str], None]
 class Terminal:
     """Runs command lines and prints their output, stderr last; ``echo $?`` prints the last exit code.
 
-    ``flags`` are appended to every ``tipforce`` command: the bus that a reader names in a configuration file.
-    """
+    ``flags`` are appended to every ``tipforce`` command: the bus that a reader names in a configuration file."""
 
     def __init__(self, flags: str = "") -> None:
         self.flags = shlex.split(flags)

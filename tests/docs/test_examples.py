@@ -1,7 +1,6 @@
 """Every documented example runs and prints what its page shows; every command line parses, or runs where it can.
 
-Shell blocks without output: each line that needs no hardware and takes seconds is run as pasted.
-"""
+Shell blocks without output: each line that needs no hardware and takes seconds is run as pasted."""
 
 import contextlib
 import gzip

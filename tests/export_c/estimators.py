@@ -59,8 +59,7 @@ def gcc(*words: object) -> None:
 class Library:
     """The C code of n gauges as a shared library. Its structures are numpy's: ``align`` lays them out as C does.
 
-    ``changed``: (file, text, other) is replaced in the source. Undefined behaviour ends the process and says where.
-    """
+    ``changed``: (file, text, other) is replaced in the source. Undefined behaviour ends the process and says where."""
 
     def __init__(self, folder: Path, n: int, real: str, changed: tuple[str, str, str] | None = None) -> None:
         write_c_files(folder, n)
@@ -189,8 +188,7 @@ def _forces(random: np.random.Generator, count: int) -> np.ndarray:
 class Tally:
     """The largest deviations found: P in newtons up to 32.767 N, angles in degrees. ``ordinary``: P from 0.1 to 32.767
     N, 11 degrees from tangential or more; ``uncertainty``: relative, P over 0.1 N; ``status_at_a_limit``: how many
-    differ, all of them with the quantity at its limit within the bound.
-    """
+    differ, all of them with the quantity at its limit within the bound."""
 
     samples: int = 0
     P: float = 0.0

@@ -1,7 +1,6 @@
 """The exported C code, compiled and run: it agrees with the Python estimator within the derived bounds.
 
-A test that needs a compiler is skipped, and says so, when there is none; `make test` installs one.
-"""
+A test that needs a compiler is skipped, and says so, when there is none; `make test` installs one."""
 
 from __future__ import annotations
 

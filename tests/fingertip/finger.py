@@ -55,8 +55,7 @@ def record(
     """A complete record; ``tip`` is 2110h, ``validity`` 2112h. Noise below one count: a source without is not frozen.
 
     ``variance`` is the upper triangle of the gauges' covariance, in place of ``noise_strain``. The fields of version 2
-    are those of a calibration that does not know them.
-    """
+    are those of a calibration that does not know them."""
     rows = C if C is not None else matrix(n)
     variance = variance or [noise_strain**2 if i == k else 0.0 for i in range(n) for k in range(i, n)]
     values = [value for row in rows for value in row] + list(offsets or [0.0] * n)

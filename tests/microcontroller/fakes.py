@@ -1,8 +1,7 @@
 """Clock, pins, converters and flash: chips as their data sheets describe them, for CPython and MicroPython.
 
 ``signal`` of a converter holds what its inputs are, in counts of its output, one number a channel. Each is deaf where
-the real one is: without power, before it is configured, while it converts.
-"""
+the real one is: without power, before it is configured, while it converts."""
 
 
 class FakeClock:

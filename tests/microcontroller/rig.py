@@ -1,8 +1,7 @@
 """The firmware between fake chips, as a recording says; runs on CPython and on MicroPython, like ``on_node.py``.
 
 A step is "now_us [@counts,counts,...] [!what] frame frame ...": what the inputs of the converters are from then on,
-what happens to the controller or to the chips, and what comes from the bus.
-"""
+what happens to the controller or to the chips, and what comes from the bus."""
 
 import binascii
 import json

@@ -1,8 +1,7 @@
 """Conformance cases and the conversations of ``micropython.scripts``, with the firmware between fake chips; recorded.
 
 On CPython a plain device stands beside the firmware and gets the same frames and readings: what the fake bus carries
-must be what it says. So the drivers, the loop and the flash store neither lose nor change anything.
-"""
+must be what it says. So the drivers, the loop and the flash store neither lose nor change anything."""
 
 import json
 import math

@@ -26,8 +26,7 @@ TIMEOUT_S = 600
 def on_node_files() -> tuple[Path, ...]:
     """The files that a node's firmware needs, as they stand: what importing a node loads, and what it loads later.
 
-    MicroPython needs no ``__init__.py`` of the packages above: those name what only a PC has (docs/firmware.md).
-    """
+    MicroPython needs no ``__init__.py`` of the packages above: those name what only a PC has (docs/firmware.md)."""
     code = (
         "import sys, tipforce.fingertip.node, tipforce.fingertip.filters, tipforce.fingertip.judgement; "
         "import tipforce.sensor.contact.scalar_redundancy, tipforce.sensor.contact.scalar_uncertainty; "

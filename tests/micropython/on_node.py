@@ -1,8 +1,7 @@
 """What runs on MicroPython: a fingertip node is built as a recording says, and answers the recording's frames.
 
 It knows no expected answer: it prints what the node does, and CPython compares. CPython builds its node by ``build``
-too, so both run the same few lines around the core.
-"""
+too, so both run the same few lines around the core."""
 
 import binascii
 import gc

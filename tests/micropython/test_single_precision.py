@@ -1,8 +1,7 @@
 """The node's arithmetic in single precision, as most microcontrollers have it, emulated in CPython.
 
 The WebAssembly build of MicroPython has doubles. With numpy.float32 in place of each float every operation is rounded
-to single precision, literals included; asin, atan2 and sqrt are rounded from double, which no real library beats.
-"""
+to single precision, literals included; asin, atan2 and sqrt are rounded from double, which no real library beats."""
 
 import random
 import struct

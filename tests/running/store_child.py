@@ -1,8 +1,7 @@
 """Run by test_store.py as a process of its own: calibrate, store, say so, again and again until it is killed.
 
 Argument: the store file. Each line on stdin is a first serial number, and starts a child that is to be killed. On
-stdout: the child's process id, then each serial number whose store was confirmed, then "ended" and the signal.
-"""
+stdout: the child's process id, then each serial number whose store was confirmed, then "ended" and the signal."""
 
 import binascii
 import os

@@ -1,7 +1,6 @@
 """Extreme structures and steps: stiffness ratios to 1e8, no damping and extreme damping, steps from 1 ns to 1 s.
 
-Integrators for comparison beyond their range of validity: their failures must not look like results.
-"""
+Integrators for comparison beyond their range of validity: their failures must not look like results."""
 
 import itertools
 import math

@@ -1,7 +1,6 @@
 """Two nodes, a hand, a page and the commands between them on udp_multicast; run by test_udp_multicast.py.
 
-It runs in a network namespace of its own, with loopback as the only interface, so that no frame leaves the machine.
-"""
+It runs in a network namespace of its own, with loopback as the only interface, so that no frame leaves the machine."""
 
 import json
 import subprocess

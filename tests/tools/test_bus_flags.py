@@ -1,7 +1,6 @@
 """The bus flags, which are python-can's to the letter; `tipforce doctor`: what stands in the way, and the next step.
 
-On a second person's board the first command that somebody would try names what is missing, and the remedy.
-"""
+On a second person's board the first command that somebody would try names what is missing, and the remedy."""
 
 import argparse
 import re

@@ -75,8 +75,7 @@ WRITES: list[tuple[str, str, bytes]] = [
 def full_disk(limit_bytes: int = 64) -> Iterator[None]:
     """No file of this process may become longer: a write fails as on a full disk, with another error number.
 
-    Python before 3.14 keeps the truncated byte code of a module that it imports meanwhile: none may be written.
-    """
+    Python before 3.14 keeps the truncated byte code of a module that it imports meanwhile: none may be written."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "dont_write_bytecode", True)

@@ -53,8 +53,7 @@ def test_it_boots_for_an_ordinary_user_where_the_floating_point_state_is_larger(
     and the caller's limit of open files.
 
     The folder has a pytest folder in it that pytest wants to own inside. User-mode Linux keeps files open that were
-    closed inside, on the account of whom it runs for.
-    """
+    closed inside, on the account of whom it runs for."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if hard < 4 * FILES:
         pytest.skip(f"the hard limit of open files here is {hard}: `ulimit -Hn`")

@@ -1,7 +1,6 @@
 """Real kernel ADCs without hardware: the `ti-adc081c` driver on I2C devices whose registers `i2c-stub` keeps.
 
-The registers are set through /dev/i2c-0, as i2c-tools' `i2cset` does, while the kernel's driver reads them.
-"""
+The registers are set through /dev/i2c-0, as i2c-tools' `i2cset` does, while the kernel's driver reads them."""
 
 import ctypes
 import fcntl

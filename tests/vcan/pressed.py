@@ -1,7 +1,6 @@
 """A node whose load tells which SYNC an answer is to: for test_hand_session.py.
 
-Not in the test module, because each node's process imports what it is defined in, and there pytest takes a second.
-"""
+Not in the test module, because each node's process imports what it is defined in, and there pytest takes a second."""
 
 import fcntl
 import gc
@@ -38,8 +37,7 @@ def force_newtons(sync_ns: npt.ArrayLike, node_id: int) -> npt.NDArray[np.float6
 def _filters(node_id: int) -> bytes:
     """What a fingertip's CAN controller lets pass: whatever carries its node-id, and what is for all.
 
-    Five nodes on one emulated processor that look at each other's PDOs leave it little time for anything else.
-    """
+    Five nodes on one emulated processor that look at each other's PDOs leave it little time for anything else."""
     wanted = [(node_id, 0x7F), (NMT, 0x7FF), (SYNC, 0x7FF), (LSS, 0x7FF)]
     return b"".join(struct.pack("=II", can_id, mask | _EXTENDED) for can_id, mask in wanted)
 

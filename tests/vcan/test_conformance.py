@@ -1,7 +1,6 @@
 """Every conformance case against a running node, by the command line: half of them on vcan0, half on vcan1.
 
-Most of the time a case waits for what must not come. So there are two nodes, each on a bus of its own, at once.
-"""
+Most of the time a case waits for what must not come. So there are two nodes, each on a bus of its own, at once."""
 
 import json
 from collections import Counter

@@ -3,8 +3,7 @@
 How long a hand takes to be correct again is counted in heartbeats of a finger that nothing happened to, 200 ms each: 10
 of them are the 2 s that are promised. The wall-clock figure is only printed, because tests assert none: it is that of a
 processor which is emulated, and shared with whatever else a machine does. Heartbeats are sent by a process on that same
-processor, so while it stands still they do, and where nodes wait for their turn so does this clock.
-"""
+processor, so while it stands still they do, and where nodes wait for their turn so does this clock."""
 
 import time
 from collections.abc import Iterator

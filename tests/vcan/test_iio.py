@@ -4,8 +4,7 @@ Times are counted in SYNCs: in User-mode Linux nothing keeps real time. A SYNC a
 
 A SYNC gives what the node read in the same conversion period (6114h), if it did: for the SYNC before, or because it
 looks after its converters every 40 ms. So a period passes between new registers and their SYNC, and no test depends on
-how fast the machine is, or on what ran before it.
-"""
+how fast the machine is, or on what ran before it."""
 
 import csv
 import math

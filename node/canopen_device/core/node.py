@@ -90,8 +90,7 @@ class Device:
 
     ``now_us`` never wraps; where it goes back, the device's own time stays ahead. The loop empties ``requests``, (name,
     value, ms): ("reset-node", 0, 0) and ("reset-communication", 0, 0) report a reset, ("bit-rate", bit/s, delay)
-    requests a switch of the bus (CiA 305, 6.4.4), ("bus-restart", 0, 0) a restart after bus-off.
-    """
+    requests a switch of the bus (CiA 305, 6.4.4), ("bus-restart", 0, 0) a restart after bus-off."""
 
     def __init__(
         self,

@@ -73,8 +73,7 @@ class ObjectDictionary:
     the only length of a DOMAIN or string; ``sinks[index](sub, size)``: an abort code or a ``sdo_server.Sink``.
     ``views`` read and write entries with the flag VIEW, which hold no value. ``dummies``: types that an RPDO may map
     (7.4.7.1); ``changed()``: after a write to a COUNTED entry; ``edited``: a setting but 1020h changed;
-    ``packer(keys)``: a faster TPDO packer or None.
-    """
+    ``packer(keys)``: a faster TPDO packer or None."""
 
     def __init__(self, node_id: int) -> None:
         self.node_id = node_id

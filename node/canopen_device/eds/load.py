@@ -43,8 +43,7 @@ def device_from_eds(
 
     A DCF's ParameterValues are its stored parameters at the start. ``save`` and ``load`` keep parameter groups, as
     ``FileStore`` does; without them 1010h and 1011h refuse. An ``EdsWarning`` names each line that leaves CiA 306, and
-    how it is read. Raises InputError for a file that is no EDS, and a node-id outside 1 to 127 (255: none yet).
-    """
+    how it is read. Raises InputError for a file that is no EDS, and a node-id outside 1 to 127 (255: none yet)."""
     description = read_eds(os.fspath(path), node_id)
     for text in description.warnings:
         warnings.warn(text, EdsWarning, stacklevel=2)

@@ -115,8 +115,7 @@ def simulated_device(
     ``bus``: the master's ``can.BusABC``, or an object that has it as ``bus`` or ``network.bus`` (``canopen.Network``),
     to which the device opens a second connection where it can; a SocketCAN interface; keywords of ``can.Bus``; without
     it ``device.bus_options`` reach the device. ``values`` are set once, ``signals`` all the time. Raises InputError for
-    an argument, EnvironmentLackError for a bus that cannot be opened, and at the end what ended the device.
-    """
+    an argument, EnvironmentLackError for a bus that cannot be opened, and at the end what ended the device."""
     with simulated_devices([device_from_file(path, node_id, application, values, signals)], bus) as devices:
         yield devices[0]
 

@@ -2,8 +2,7 @@
 
 An object is ``(index, object_code, name, slug, entries)``; a run of equal entries is ``(sub, count, name, slug, type,
 access, flags, default, low, high, unit)``, ``name`` and ``default`` tuples where they differ. ``type`` is a letter of
-``struct``, "s" a VISIBLE_STRING, "D" a DOMAIN. The tuples run on MicroPython too.
-"""
+``struct``, "s" a VISIBLE_STRING, "D" a DOMAIN. The tuples run on MicroPython too."""
 
 from canopen_device.core import codes, communication, object_dictionary
 from tipforce.dictionary import indices

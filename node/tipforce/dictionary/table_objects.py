@@ -30,8 +30,7 @@ def objects(
 
     ``simulated`` adds 2200h, 2201h and bit 8 of the product code. ``converter`` is (bits, counts per microstrain:
     6122h), with a third element (counts at 0, at 1000 microstrain) per gauge. Above 16 bits 7100h, 7120h and 7122h,
-    whose INTEGER16 cannot hold counts, are left out, and bit 9 of the product code is set.
-    """
+    whose INTEGER16 cannot hold counts, are left out, and bit 9 of the product code is set."""
     return tuple(sorted(declared(n, simulated, converter, programs)))
 
 

@@ -17,8 +17,7 @@ class Interrupts:
 
     A TPDO of type 254 or 255 (or 0: with a SYNC) that maps a channel is sent when the channel moved by 6133h or more
     (0: off), left or re-entered 6134h..6135h (with hysteresis 6136h; limits at their defaults are off), or became known
-    or unknown.
-    """
+    or unknown."""
 
     def __init__(self, device: "Device", value: "Callable[[int], float]") -> None:
         self._device = device

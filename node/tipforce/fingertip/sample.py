@@ -31,8 +31,7 @@ class Sample:
     ``scaling``: microstrain = gain * counts + bias per gauge; ``was_present``, ``was_overloaded``: of the sample
     before; ``frozen``: bits of gauges that stand still; ``filtered``: counts; ``ends``: of the converter. A gauge that
     is saturated, outside its span, frozen or contradicts the others is lost. With more than three, the others give the
-    force while they have rank 3 (``spared``); status bit 2 and 2124h show the loss.
-    """
+    force while they have rank 3 (``spared``); status bit 2 and 2124h show the loss."""
 
     __slots__ = (
         "_contact", "_covariance", "_early", "_force", "_uncertainty", "_unknown", "_was_present", "active",

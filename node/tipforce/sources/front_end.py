@@ -134,8 +134,7 @@ class OneOverFNoise:
     / (1 + (f / f_c)^2); corners a factor q apart add up to s^2 / (ln(q) f) between the ends, so s^2 = a^2 ln(q). A
     decade inside either end the spectrum is 3 % below 1/f, below ``lowest_hz`` it is flat, above ``highest_hz`` it
     falls with 1/f^2. Each process is stepped exactly from one conversion to the next, for any time between them, and
-    starts stationary.
-    """
+    starts stationary."""
 
     def __init__(
         self, microstrain_at_1_hz: float, random: "Random", lowest_hz: float = 1e-3, highest_hz: float = 100.0
@@ -180,8 +179,7 @@ class FrontEnd:
     ``bridge``, ``gain`` and ``reference_volts`` (None: the excitation) set the counts per microstrain; without ``gain``
     the full scale is 3276.8. ``temperature`` (degC; 2122h), which ``apparent_strain`` (microstrain per degC) and
     ``gain_drift_ppm`` (per degC) need; ``white_noise`` (microstrain); ``one_over_f``: at 1 Hz, or (that, lowest Hz,
-    highest Hz).
-    """
+    highest Hz)."""
 
     def __init__(
         self, bits: int = 16, bridge: "Bridge | None" = None, gain: "float | None" = None,

@@ -2,8 +2,7 @@
 
 No data (bit 8): a device that is removed or does not respond, or scans that do not arrive; it is opened again when it
 returns. Frozen (bit 9): time stamps do not increase. Wire break (bit 10): a gauge stays at an end of the range. Supply
-(bit 11): a channel outside its tolerance. Another board is polled through iiod, with libiio's time-out.
-"""
+(bit 11): a channel outside its tolerance. Another board is polled through iiod, with libiio's time-out."""
 
 from __future__ import annotations
 

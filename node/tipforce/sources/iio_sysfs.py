@@ -2,8 +2,7 @@
 
 Documentation/ABI/testing/sysfs-bus-iio: (raw + offset) * scale is in mV or in 0.001 degC; iio/iio_devbuf, iio_configfs:
 a trigger starts each scan, which holds the enabled channels by index, each aligned to its size, the 64-bit time stamp
-last. All functions raise OSError if the kernel returns an error.
-"""
+last. All functions raise OSError if the kernel returns an error."""
 
 import contextlib
 import os

@@ -1,8 +1,7 @@
 """A model of numbered rows: fingers that are late, frames that are lost, doubled or missed, and what a hand may show.
 
 Each value is the serial number of the SYNC that it answers, so a value in another SYNC's row is seen at once. A value
-that the host received within the waiting time must be in its row.
-"""
+that the host received within the waiting time must be in its row."""
 
 from __future__ import annotations
 

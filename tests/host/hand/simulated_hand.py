@@ -1,8 +1,7 @@
 """A running Hand, its fingers and another master on one bus in simulated time, in one thread.
 
 The nodes respond after ``LATENCY_US``, the hand looks every millisecond, and what its other threads do is done in
-between. Loads are known for each SYNC, so that every row can be compared with what pressed on the fingers.
-"""
+between. Loads are known for each SYNC, so that every row can be compared with what pressed on the fingers."""
 
 import contextlib
 import heapq

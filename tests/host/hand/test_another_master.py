@@ -2,8 +2,7 @@
 
 The cases come from the dictionary. The loads are known for each SYNC: no row may show another force, except where
 ``foreign_changes = "accept"`` accepted the change. What differs at the end is an event, and is restored where asked.
-A sample runs here; with TIPFORCE_ALL_WRITES=1 all of them (``make long``), which print a table with -s.
-"""
+A sample runs here; with TIPFORCE_ALL_WRITES=1 all of them (``make long``), which print a table with -s."""
 
 import os
 import random

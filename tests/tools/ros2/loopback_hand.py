@@ -1,7 +1,6 @@
 """A process of test_loopback: a simulated hand and `tipforce ros2` on its bus; commands come on stdin.
 
-fault NODE NAME | end
-"""
+fault NODE NAME | end"""
 
 import signal
 import sys

@@ -1,7 +1,6 @@
 """The other process of test_rclpy, run by the Python of ROS 2: rclpy with default settings reads what a hand publishes.
 
-Arguments: the command of the hand. Prints one JSON record of the messages by topic.
-"""
+Arguments: the command of the hand. Prints one JSON record of the messages by topic."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 Axes: x along the horizontal beam, y from the fixture to the tip, z along the width; SI units. Body ``fixture``: origin
 in the middle of its mounting face; site ``tip``: the middle of the horizontal beam, from where forces and angles count.
-The fixture is assumed, as in docs/mechanics.md; the beams have no mass and touch nothing.
-"""
+The fixture is assumed, as in docs/mechanics.md; the beams have no mass and touch nothing."""
 
 from __future__ import annotations
 

@@ -177,8 +177,7 @@ class Fingertips:
 
     ``calibration``: by default beam theory for contacts that push; ``noise_microstrain`` depends on ``seed`` alone;
     ``node_ids``: by default 1, 2, ... Raises InputError for a site that does not exist, one on a body without geoms or
-    with another finger's, node-ids and numbers that are not allowed.
-    """
+    with another finger's, node-ids and numbers that are not allowed."""
 
     def __init__(
         self,

@@ -1,8 +1,7 @@
 """Samples of a fingertip as ROS 2 messages, the state of the hand as diagnostics, the bridge from a feed, and bus.yml.
 
 The frame ``<finger>_tip`` is at the centre of the tip: x along F3, y along F1 (docs/mechanics.md), right-handed. The
-force is P (cos phi, sin phi, 0), the torque r P sin(phi - theta) = r F2 around z.
-"""
+force is P (cos phi, sin phi, 0), the torque r P sin(phi - theta) = r F2 around z."""
 
 from __future__ import annotations
 

@@ -116,8 +116,7 @@ def find_bus(
     """Return the bus of the flags, of a file, or of python-can's files and environment, as keywords of ``can.Bus``.
 
     Without any, that of the only SocketCAN interface that is up, which a line on stderr names. A channel alone is such
-    an interface, also one ``named`` without a flag: `dump vcan0`. Raises EnvironmentLackError naming the interfaces.
-    """
+    an interface, also one ``named`` without a flag: `dump vcan0`. Raises EnvironmentLackError naming the interfaces."""
     options = {**(of_file or {}), **bus_options(args)}
     if "interface" in options and (named or "channel" in options):
         return options

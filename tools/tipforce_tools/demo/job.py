@@ -89,8 +89,7 @@ def bounds(calibration: Calibration, applied: FloatArray, z: float) -> tuple[Flo
     """Return (standard uncertainty, bound of the node's error, bound of host minus node), each for P, phi, theta.
 
     ``applied`` is (P newtons, phi degree, theta degree). The bound is z standard uncertainties from gauge noise, plus
-    half a count of every gauge propagated to the quantity, plus half a step of the PDO's resolution.
-    """
+    half a count of every gauge propagated to the quantity, plus half a step of the PDO's resolution."""
     P, phi, theta = applied[0], *np.radians(applied[1:])
     F = force_vector(P, phi, theta)[np.newaxis]
     u = contact_model.standard_uncertainties(F, calibration.covariance_F, pull=calibration.pull)[0]
@@ -109,8 +108,7 @@ def run_demo(seed: int, spoil: bool, say: Callable[[str], None], advance: Callab
     """Run the demo on an in-process bus; yield one Result per load and node.
 
     ``say`` gets a line per step, ``advance`` is called once per load. ``spoil`` corrupts one element of each matrix.
-    Raises RefusedError if a node has lost its stored calibration after the reset.
-    """
+    Raises RefusedError if a node has lost its stored calibration after the reset."""
     comparisons = len(CASES) * 2 * len(GROOVES_DEG) * len(QUANTITIES)
     z = coverage_factor(comparisons)
     with _nodes(seed) as connection:

@@ -233,8 +233,7 @@ def preloading(folder: Path, cpuinfo: Path = Path("/proc/cpuinfo")) -> dict[str,
     """Return the variable that preloads whole_xstate.c, built in `folder`; without a compiler nothing, and say so.
 
     Without it linux.uml crashes at boot on a processor with AMX; built for all, the code of a few is tested on all.
-    Raises EnvironmentLackError, in one line, where the processor needs it and no compiler works.
-    """
+    Raises EnvironmentLackError, in one line, where the processor needs it and no compiler works."""
     lack, library = "none is installed", folder / "whole_xstate.so"
     if compiler := next(filter(None, map(shutil.which, _COMPILERS)), None):
         with as_file(files("tipforce_tools.kernel").joinpath("whole_xstate.c")) as source:
@@ -258,8 +257,7 @@ def run_with_vcan(
     """Run `command` where all `interfaces` are vcan buses and up; return its exit code, or that of `run_here`.
 
     `memory` and `writable` (let the command write the caller's files) apply to User-mode Linux only. `announced`: first
-    say where it runs. Raises InputError for an argument, EnvironmentLackError naming what to install for vcan.
-    """
+    say where it runs. Raises InputError for an argument, EnvironmentLackError naming what to install for vcan."""
     for name in interfaces:
         if re.fullmatch(r"[A-Za-z][\w.-]{0,14}", name, re.ASCII) is None:
             raise InputError(f"--interfaces: {name!r}: allowed are a letter, then up to 14 letters, digits, . _ or -")

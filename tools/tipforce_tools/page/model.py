@@ -103,8 +103,7 @@ class Model:
     """The rows of a recording or a bus, for any number of pages; thread-safe.
 
     ``live`` is False for a log. Rows are in the order of time: beyond ``capacity`` (0: what fits into MAX_BYTES) the
-    oldest are dropped, and a time that steps backwards (a set clock) continues from the last.
-    """
+    oldest are dropped, and a time that steps backwards (a set clock) continues from the last."""
 
     def __init__(
         self, fingers: Sequence[Finger], gauges: int = 3, *, live: bool = True, capacity: int = 0,
@@ -236,8 +235,7 @@ class Model:
         is number x width; and (b, k, 3 q + 1): minimum, maximum and largest standard uncertainty of q quantities, NaN
         where none was known, and the number of rows in which the first was unknown or the finger missing.
 
-        The quantities are P, phi, theta; or without uncertainties F1, F2, F3, or the strain of each gauge.
-        """
+        The quantities are P, phi, theta; or without uncertainties F1, F2, F3, or the strain of each gauge."""
         with self._lock:
             ends = np.searchsorted(self.rows.t_ns, (first_bin * width_ns, (last_bin + 1) * width_ns)).tolist()
             rows = self.rows.part(slice(*ends))

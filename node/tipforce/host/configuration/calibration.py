@@ -138,8 +138,7 @@ class Calibration:
 
         matrix: (3, n), N per microstrain; offset: (n,), None for zero; covariance of the noise: (n, n), or ``noise``,
         its standard deviation, (n,) or one; ``facts``: other fields. Raises InputError for shapes, numbers that are not
-        finite, no rank 3, and a covariance that is none, or is missing.
-        """
+        finite, no rank 3, and a covariance that is none, or is missing."""
         with np.errstate(over="ignore"):  # check() refuses the infinity
             C = _array("matrix", matrix) * 1e6
         n = C.shape[-1] if C.ndim else 0

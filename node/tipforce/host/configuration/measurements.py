@@ -148,8 +148,7 @@ def read_measurements(path: str | Path, *, loads: bool) -> Measurements:
 
     ``loads``: P_N, phi_deg, theta_deg are required. Optional: t_s, temperature_degC, weight, mode (push, pull, tare).
     Unusable rows are in ``bad`` with line and reason. Raises InputError for an unusable file or header, a log with
-    estimates beside the gauges, or one of several nodes.
-    """
+    estimates beside the gauges, or one of several nodes."""
     lines = _lines(path)
     places, mode, count, ignored = _header(path, lines[0], loads)
     if not any(line.strip() for line in lines[1:]):

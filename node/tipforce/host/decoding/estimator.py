@@ -145,8 +145,7 @@ class Estimator:
         ``temperature_degC``: one or (k,), NaN or None: not known; ``lost``: bits of failed gauges, one or (k,);
         ``was_...``: of the sample before; ``out``: filled and returned. What is not finite or over 1e6 microstrain
         makes all unknown; in a table a gauge that stands still too long is lost. Raises InputError for other shapes and
-        types.
-        """
+        types."""
         n = self.gauges
         if type(microstrain) in {list, tuple} and set(map(type, microstrain)) == {float}:  # type: ignore[arg-type]
             row: Sequence[float] | None = microstrain  # type: ignore[assignment]

@@ -160,8 +160,7 @@ def read_log(
 
     ``calibration``: one, or by node-id: it estimates P, phi and theta from all gauges, else gives their uncertainties.
     ``gauges``: default the calibration's, or 3. ``channel``: of several buses. ``strict``: raise at the first bad line.
-    Raises InputError for an unusable log, no frame, an unknown channel, a node on two buses, other gauges.
-    """
+    Raises InputError for an unusable log, no frame, an unknown channel, a node on two buses, other gauges."""
     from tipforce.host.dataset.reader import tables_of_logs  # its import costs time
 
     paths = [path] if isinstance(path, str | PathLike) else path

@@ -106,8 +106,7 @@ class Joined(NamedTuple):
 
     ``order`` (k,): indices of the frames, group by group; ``row`` (k,): of each. ``first``, ``counter`` (r,): of a
     row's first frame. ``held``, ``held_number`` (h,): frames for the next call, ``number`` the next one. ``spans``:
-    (group, start and end in ``order``), ``counts``: of slots, both ascending. ``short``: (slot, frames too short).
-    """
+    (group, start and end in ``order``), ``counts``: of slots, both ascending. ``short``: (slot, frames too short)."""
 
     order: Ints
     row: Ints

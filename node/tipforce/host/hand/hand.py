@@ -108,8 +108,7 @@ class Hand:
         ``fingers``: the path of a hand file, node-ids, or these by name. ``bus``: an open one, which stays open; or
         ``bus_options`` of ``can.Bus``, before the file's [bus]. ``plan``: [hand] without a file. Raises RefusedError
         naming the fingers that failed and why, unless ``need_all`` is False; InputError for an invalid file,
-        EnvironmentLackError for a bus that does not open.
-        """
+        EnvironmentLackError for a bus that does not open."""
         file = read_hand(fingers) if isinstance(fingers, str | Path) else hand_of(fingers, plan or HandPlan())
         hand = cls.from_file(file, bus=bus, **bus_options)
         try:

@@ -17,8 +17,7 @@ class CandumpFormat:
 
     ``timestamps``: "", "a", "z", "d", "A" (its -t); ``log`` is -L, ``extra`` -x, ``errors`` -e, ``ascii`` -a;
     ``width``: of the longest interface name of the command line. Like candump, it keeps state: names align with the
-    longest so far (not with ``align`` False), and 11-bit identifiers are indented after the first 29-bit one.
-    """
+    longest so far (not with ``align`` False), and 11-bit identifiers are indented after the first 29-bit one."""
 
     timestamps: str = ""
     log: bool = field(default=False, kw_only=True)

@@ -229,8 +229,7 @@ class LineBlocks:
 
     Lines above BLOCK_BYTES and truncated data are noted as bad. ``source`` None is stdin; ``follow`` waits at the end
     of a file, and restarts a shorter one; ``stop`` ends both by True: a file at its end, stdin after 0.5 s. ``live``: a
-    consumer waits for each block. ``part``: first byte and end, both of ``line_borders``.
-    """
+    consumer waits for each block. ``part``: first byte and end, both of ``line_borders``."""
 
     def __init__(
         self, source: Path | None, notes: LogNotes, follow: bool = False, part: tuple[int, int | None] = (0, None),

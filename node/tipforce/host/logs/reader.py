@@ -43,8 +43,7 @@ class LogReader(LogNotes):
         until ``stop`` returns True. ``deltas``: of candump -td. ``start_ns`` excludes earlier frames, ``end_ns`` those
         from then on. ``part``: bytes of a plain text (``line_borders``). Raises InputError for a file that can't be
         opened, EnvironmentLackError for a missing library; while iterating, InputError for a bad line, and a time
-        selection without timestamps.
-        """
+        selection without timestamps."""
         super().__init__(strict, str(source), goes_on=part[0] > 0)
         path = None if str(source) == STDIN else Path(source)
         self._limits = start_ns, end_ns

@@ -69,8 +69,7 @@ class SdoChannel:
 
     ``timeout_s`` bounds each response, ``deadline_s`` a transfer with its ``retries`` after invalid or no responses; an
     abort is never retried. Long data goes in blocks, unless refused (``has_blocks``). ``clock``: seconds. Raises
-    DuplicateNodeError if two nodes respond: ``duplicates`` gets the frames, and the serial number is read.
-    """
+    DuplicateNodeError if two nodes respond: ``duplicates`` gets the frames, and the serial number is read."""
 
     def __init__(
         self,

@@ -154,8 +154,7 @@ def covariance_of_estimate(
     """Return C (Sigma_V + Q(F)) C^T (..., 3, 3), N^2, the covariance of F = C (V - b): Q(F)_kl = G^T cov(row k, row l)
     G, G = (F, 1). offset_known: after a tare the 1 drops out, and its own noise belongs into noise_covariance.
 
-    C: (3, n). noise_covariance: (n, n), strain^2. parameter_covariance: (n, 4, n, 4). F: (..., 3); else InputError.
-    """
+    C: (3, n). noise_covariance: (n, n), strain^2. parameter_covariance: (n, 4, n, 4). F: (..., 3); else InputError."""
     matrix, F = floats("C", C), floats("F", F_newtons)
     n = matrix.shape[-1]
     Sigma = floats("noise_covariance", noise_covariance)

@@ -1,8 +1,7 @@
 """Fault detection with more than three gauges. V = A F + e with the covariance Sigma of e; C = (A^T Q A)^-1 A^T Q, Q =
 Sigma^-1. n - 3 combinations W of the gauges do not depend on the force (parity directions); chi-square is |W V|^2, and
 a fault moves W V along its gauge's column of W. Two gauges with parallel columns cannot be distinguished: exactly if
-the other n - 2 have no rank 3; one is invisible if the others have none: its fault looks like a force.
-"""
+the other n - 2 have no rank 3; one is invisible if the others have none: its fault looks like a force."""
 
 from dataclasses import dataclass
 
@@ -105,8 +104,7 @@ def detect(
 
     Faulty: chi-square exceeds the threshold of false_alarm_rate; candidates: gauges whose best-fitting fault leaves (n
     - 4 degrees of freedom) less than that of exclusion_rate. variance_factor, (...): of the residuals over the gauges'
-    noise; a calibrated C adds 1 + G^T N^-1 G. Raises InputError for other shapes, and for rates outside (0, 1).
-    """
+    noise; a calibrated C adds 1 + G^T N^-1 G. Raises InputError for other shapes, and for rates outside (0, 1)."""
     for name, rate in (("false_alarm_rate", false_alarm_rate), ("exclusion_rate", exclusion_rate)):
         if not 0.0 < rate < 1.0:
             raise InputError(f"{name} = {rate!r}: allowed is above 0 and below 1")

@@ -41,8 +41,7 @@ PAD_SLACK_DEG = 1e-4  # rounding of theta in single precision must not push a co
 def contact(F1: float, F2: float, F3: float, pull: bool) -> tuple[float, float, float, float]:
     """Return (P, phi, theta, miss), newtons and radians in (-pi, pi], NaN for F1 = F3 = 0. pull selects one of the two
     points where the line of action meets the tip. miss is the excess of |F2| over hypot(F1, F3): above 0 the contact
-    counts as tangential, P = (hypot + |F2|) / 2. Full precision from 1e-300 to 1e300 N.
-    """
+    counts as tangential, P = (hypot + |F2|) / 2. Full precision from 1e-300 to 1e300 N."""
     return contact_of(scaled_force(F1, F2, F3), pull)
 
 

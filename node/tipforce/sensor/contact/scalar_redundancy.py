@@ -2,8 +2,7 @@
 (redundancy.py explains it). Matrices are lists of rows, noise is the upper triangle of the gauges' covariance (2106h),
 strain^2. Gauges that vary more than their noise, by ``extra`` strain^2 (a model uncertainty grows with the strain),
 make p = W V vary by M = I + sum of extra_k w_k w_k, w_k column k of W; chi-square p M^-1 p is that of Sigma +
-diag(extra).
-"""
+diag(extra)."""
 
 from math import erfc, exp, pi, sqrt
 
@@ -79,8 +78,7 @@ def leave_out(
 ) -> tuple[list[list[float]], tuple[float, float, float, float, float, float]] | None:
     """Return (3 rows of n, newtons per unit strain; covariance of F, upper triangle, N^2) without the gauges
     ``left_out`` (from 0), zeros for them; None without rank 3: fewer than three left, a singular covariance, or a
-    condition number over the limit. C must weigh by noise; all zero: equal weights, a covariance of zero.
-    """
+    condition number over the limit. C must weigh by noise; all zero: equal weights, a covariance of zero."""
     n = len(C[0])
     kept = [k for k in range(n) if k not in left_out]
     A = structure_matrix(C, noise)
@@ -197,8 +195,7 @@ def judge(
 
     strains: without offsets, finite for gauges that are not kept. shown: ``columns``. extra: strain^2 of each gauge
     beside its noise. alarm, exclusion: limits of chi-square with as many degrees of freedom as W has rows, and one
-    less, for what the best-fitting fault of a gauge leaves.
-    """
+    less, for what the best-fitting fault of a gauge leaves."""
     chi_square, faults = explained(W, shown, strains, extra)
     bits = 0
     for k in range(len(strains)):
@@ -241,8 +238,7 @@ def doubt(
 ) -> "tuple[float, float, float, float, float, float]":
     """Return what a fault below the limit adds to the covariance of F, upper triangle, N^2: squares of what each
     gauge's best-fitting fault does to F, by its probability (Bayes: odds of NO_FAULT to 1 before the sample, likelihood
-    exp(explained / 2)). faults: of ``judge``.
-    """
+    exp(explained / 2)). faults: of ``judge``."""
     n = len(faults)
     shown: list[int] = []
     place, most = 0, 0.0
