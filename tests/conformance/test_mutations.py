@@ -98,10 +98,15 @@ def forced(owner: type, method: str, attribute: str, value: Any) -> Injection:
     return replaced(owner, method, patched)
 
 
-def toggle_of_request(self: SdoServer, data: bytes) -> tuple[bytes]:
-    """The server believes whatever toggle bit comes."""
-    self._toggle = data[0] >> 4 & 1
-    return (data,)
+def toggle_of_request(specifier: int) -> Injection:
+    """The server believes whatever toggle bit comes with these segments."""
+
+    def believed(server: SdoServer, data: bytes) -> tuple[bytes]:
+        if data[0] >> 5 == specifier:
+            server._toggle = data[0] >> 4 & 1
+        return (data,)
+
+    return arguments(SdoServer, "receive", believed)
 
 
 def always_pre_operational(self: HeartbeatProducer, now_us: int) -> None:
@@ -136,8 +141,8 @@ NARROW_FORMS = tuple((form, channels.MAX_I16, unknown) for form, _, unknown in c
 
 # fault -> the cases that are to find it, and how it gets into the device
 FAULTS: dict[str, tuple[str, Injection]] = {
-    "upload toggle not checked": ("sdo_seg*", arguments(SdoServer, "_upload_segment", toggle_of_request)),
-    "download toggle not checked": ("sdo_seg*", arguments(SdoServer, "_download_segment", toggle_of_request)),
+    "upload toggle not checked": ("sdo_seg*", toggle_of_request(3)),
+    "download toggle not checked": ("sdo_seg*", toggle_of_request(0)),
     "wrong abort code for read-only": ("sdo.*", replaced(codes, "READ_ONLY", 0x06010000)),
     "no CRC check": ("sdo_block_d*", forced(BlockDownload, "_end", "_with_crc", False)),
     "CRC of another polynomial": ("sdo_block.*", replaced(sdo_block, "crc16", lambda data, _crc=0: sum(data) & 0xFFFF)),
