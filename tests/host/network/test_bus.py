@@ -17,7 +17,7 @@ from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
 from tipforce.host.frames.frame_array import FrameBuffer
-from tipforce.host.network.bus import Bus
+from tipforce.host.network.bus import Bus, Dispatcher
 from tipforce.host.network.find import FoundNode, find_nodes
 from tipforce.host.network.finger import Identity
 from tipforce.host.network.interfaces import open_bus
@@ -63,6 +63,16 @@ def test_the_flags_of_a_frame_are_kept() -> None:
         other.send(can.Message(arbitration_id=0x7FE, is_extended_id=False))
         found = connection.wait_for({0x7FE})
     assert found["can_id"].tolist() == [0x8000_0701, 0x4000_0702, 0x7FE]
+
+
+def test_subscribers_get_data_frames_of_their_identifier_alone() -> None:
+    dispatcher, received = Dispatcher(can.Bus(interface="virtual", channel=new_channel())), list[bytes]()
+    dispatcher.subscribe(0x585, lambda _can_id, data, _t_s: received.append(bytes(data)))
+    for flags in ({"is_extended_id": True}, {"is_remote_frame": True}, {"is_error_frame": True}, {"is_fd": True}, {}):
+        dispatcher.on_message_received(can.Message(arbitration_id=0x585, **{"is_extended_id": False, **flags}))
+    assert received == [b""]
+    assert dispatcher.bus is not None
+    dispatcher.bus.shutdown()
 
 
 def test_a_full_buffer_drops_the_oldest_and_counts_them() -> None:

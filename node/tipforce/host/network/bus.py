@@ -103,8 +103,8 @@ class Dispatcher(can.Listener):
             self._subscribers.get(can_id, []).remove(subscriber)
 
     def on_message_received(self, msg: can.Message) -> None:
-        """Pass a frame on; called by the Notifier's thread."""
-        if not (msg.is_error_frame or msg.is_remote_frame):
+        """Pass a frame on, unless it is none of CANopen's; called by the Notifier's thread."""
+        if not (msg.is_error_frame or msg.is_remote_frame or msg.is_extended_id or msg.is_fd):
             self.notify(msg.arbitration_id, msg.data, msg.timestamp)
 
     def notify(self, can_id: int, data: bytearray, t_s: float) -> None:
