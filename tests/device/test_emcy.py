@@ -16,6 +16,21 @@ def raised(talk: Conversation, code: int, detail: int = 0, bits: int = emcy.PROF
     talk.step()
 
 
+def test_an_error_is_said_once_and_cured_once() -> None:
+    talk = serving()
+    raised(talk, 0x5030, 9)
+    talk.say("< 085#3050210900000000")
+    raised(talk, 0x5030, 9)
+    talk.say("+ 1000")
+    assert talk.get("B", 0x1001) == 0x21
+    assert talk.get("I", 0x1003, 1) == 0x00095030
+    talk.device.emcy.cure(0x5030, 9)
+    talk.device.emcy.cure(0x5030, 9)
+    talk.step()
+    talk.say("< 085#0000003050090000\n+ 1000")
+    assert talk.get("B", 0x1001) == 0
+
+
 def test_what_waits_is_bounded() -> None:
     talk = serving()
     talk.say("> 000#0205")

@@ -70,6 +70,17 @@ def test_damaged_group_gives_its_defaults_and_is_noted(damage: str) -> None:
     assert talk.device.storage.damaged == []
 
 
+def test_every_single_bit_of_damage_is_seen() -> None:
+    store = MemoryStore()
+    assert changed(store).put("I", 0x1010, 3, SAVE) == 0
+    blob = store.groups["application"]
+    for bit in range(8 * len(blob)):
+        spoilt = bytearray(blob)
+        spoilt[bit // 8] ^= 1 << bit % 8
+        store.groups["application"] = bytes(spoilt)
+        assert settings(booted(store)) == DEFAULTS
+
+
 def test_records_that_no_longer_fit_the_dictionary_are_passed_over() -> None:
     # A group from other firmware: unknown index, unknown sub-index, another length, outside the limits, read-only.
     records = b"".join(

@@ -1,0 +1,105 @@
+"""What the machine under a node may do: a disk that is full or read-only, a clock that is set."""
+
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tipforce.errors import SdoAbortError
+from tipforce.host.network.bus import Bus
+from tipforce.scene import beam_calibration
+from vcan.adc import in_user_mode_linux
+from vcan.support import (
+    NMT,
+    NODE_ID,
+    OPERATIONAL_BEAT,
+    RawBus,
+    answers_a_sync,
+    running_node,
+    start_with_fast_heartbeats,
+)  # fmt: skip
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 64 kB of its own."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    try:
+        subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(folder)], check=True, capture_output=True
+        )
+    except subprocess.CalledProcessError as error:
+        pytest.skip(f"mounting needs root, `tipforce vcan --uml -- ...` has it: {error.stderr.decode().strip()}")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True, capture_output=True)
+
+
+def fill(disk: Path) -> None:
+    with (disk / "ballast").open("wb", buffering=0) as file:
+        for size in (4096, 1):
+            try:
+                while True:
+                    file.write(bytes(size))
+            except OSError:
+                continue
+
+
+def remount(disk: Path, mode: str) -> None:
+    subprocess.run(["mount", "-o", f"remount,{mode}", str(disk)], check=True, capture_output=True)
+
+
+def still_answers() -> None:
+    with RawBus() as bus:  # a new one: what came before must not pass for an answer
+        bus.send(NMT, bytes((1, NODE_ID)))
+        assert answers_a_sync(bus)
+
+
+@pytest.mark.parametrize(("trouble", "message"), [("full", "No space left on device"), ("read-only", "Read-only file")])
+def test_a_disk_that_takes_nothing_costs_nothing_but_the_storing(
+    disk: Path, host: Bus, tmp_path: Path, trouble: str, message: str
+) -> None:
+    store = ("--store", str(disk / "node.json"))
+    finger = host.finger(NODE_ID)
+    first, second = beam_calibration("I", pull=True), beam_calibration("II", pull=True)
+    with running_node(tmp_path, *store) as node:
+        finger.apply_calibration(first)
+        fill(disk) if trouble == "full" else remount(disk, "ro")
+        finger.apply_calibration(second, store=False)
+        for _ in range(3):
+            with pytest.raises(SdoAbortError) as refused:
+                finger.store(calibration=True)
+            assert refused.value.code == 0x06060000
+        assert node.stderr.count(message) == 1
+        assert finger.verify_calibration(second) == [], "what is active stays active"
+        still_answers()
+        assert node.end(signal.SIGKILL) == -signal.SIGKILL
+    (disk / "ballast").unlink() if trouble == "full" else remount(disk, "rw")
+    with running_node(tmp_path, *store):
+        assert finger.verify_calibration(first) == [], "what was stored is still there"
+        finger.apply_calibration(second)
+    with running_node(tmp_path, *store):
+        assert finger.verify_calibration(second) == []
+
+
+def test_a_clock_that_is_set_moves_nothing(bus: RawBus, tmp_path: Path) -> None:
+    if not in_user_mode_linux():
+        pytest.skip("sets the time of day: only on a kernel of its own, `tipforce vcan --uml -- ...`")
+    with running_node(tmp_path) as node:
+        start_with_fast_heartbeats(bus)
+        before = time.clock_gettime(time.CLOCK_REALTIME)
+        began = time.monotonic()
+        try:
+            for step_s in (86400.0, -2 * 86400.0, 1e9):
+                time.clock_settime(time.CLOCK_REALTIME, time.clock_gettime(time.CLOCK_REALTIME) + step_s)
+                beats = [bus.until(lambda frame: frame == OPERATIONAL_BEAT) for _ in range(10)]
+                assert all(len(frames) == 1 for frames in beats), "nothing but heartbeats: no EMCY, no burst"
+        finally:
+            time.clock_settime(time.CLOCK_REALTIME, before + time.monotonic() - began)
+        # Thirty heartbeats of 20 ms: less would be a burst after a step forward. The lower bound alone is no timing.
+        assert time.monotonic() - began > 0.5
+        still_answers()
+        assert node.end() == 0
