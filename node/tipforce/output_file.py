@@ -4,7 +4,7 @@ file. A file that is also an input, or of another kind than the new one, is refu
 import io
 import os
 import re
-import shutil
+import stat
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -100,7 +100,7 @@ class NewFile:
         """Rename the complete file; an existing file is replaced, and its permissions hold."""
         if not self._direct:
             if self._target.exists():
-                shutil.copymode(self._target, self.partial)
+                self.partial.chmod(stat.S_IMODE(self._target.stat().st_mode))
             self.partial.replace(self._target)
 
     def drop(self) -> None:

@@ -99,7 +99,7 @@ def mapping_signals(mapping: Iterable[tuple[int, int, int]], n: int = 3) -> tupl
 
 def _messages(kind: str, declared: tuple[table.Pdo, ...], n: int) -> tuple[Message, ...]:
     messages = []
-    known = entries(n)
+    known = entries(n, True)
     for number, name, base, enabled, transmission, event_ms, mapped in declared:
         mapping = tuple((index, sub, 8 * _size(known[index, sub])) for index, sub in mapped)
         length = sum(bits for _, _, bits in mapping) // 8

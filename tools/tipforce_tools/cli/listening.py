@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import math
 import signal
-import socket
 import time
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
@@ -17,6 +16,7 @@ from tipforce.errors import InputError
 from tipforce_tools.cli import bus_flags, common
 
 if TYPE_CHECKING:
+    import socket
     from pathlib import Path
 
     from tipforce.host.frames.frame_block import CandumpBlock
@@ -81,6 +81,8 @@ class Hints:
 
     def findings(self) -> list[Finding]:
         """Return what is missing now."""
+        import socket
+
         from tipforce.host.network.interfaces import links
         from tipforce.watching.findings import OWN_SYNC, SILENT_S, findings
 

@@ -53,8 +53,13 @@ def run(args: argparse.Namespace) -> int:
     gc.disable()  # to look for garbage among what the imports make takes a tenth of the start
     try:
         from tipforce_tools.decode.session import decode
+
+        gc.freeze()  # nor again and again while decoding
     finally:
         if collects:
             gc.enable()
     terminate_as_interrupt()
-    return decode(args)
+    try:
+        return decode(args)
+    finally:
+        gc.unfreeze()

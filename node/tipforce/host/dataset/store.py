@@ -4,7 +4,6 @@ import atexit
 import errno
 import os
 import re
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -118,6 +117,8 @@ class Store:
             try:
                 file.replace(path)
             except OSError:  # of another file system
+                import shutil
+
                 partial = path.with_name(f".{path.name}.part")
                 shutil.copyfile(file, partial)
                 partial.replace(path)
@@ -156,6 +157,7 @@ def local_copy(name: str) -> str:
     if not is_url(name) or name.startswith("file://"):
         return name.removeprefix("file://")
     if name not in _copies:
+        import shutil
         import tempfile
 
         files, path = filesystem(name)

@@ -5,7 +5,6 @@ of a part is decoded again after the parts in front; if that ends in the same ``
 from __future__ import annotations
 
 import pickle
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -299,6 +298,8 @@ class _Kept:
                 self._first.append(table)
                 continue
             if self._file is None:
+                import tempfile
+
                 self._file = tempfile.TemporaryFile()  # noqa: SIM115 - closed after the last row
             pickle.dump(table, self._file, protocol=5)
 
