@@ -309,8 +309,9 @@ def _workers(args: Namespace, reading: Reading, sink: Sink, parts: int) -> Worke
 def _pieces_from(args: Namespace, name: str, start: int) -> list[Piece]:
     """Return a log from a byte on in pieces that are parts of a dataset."""
     size = os.path.getsize(name) - start
-    count = -(-size // (_FOLLOWED_BYTES if args.follow else _DATASET_PIECE_BYTES))
-    return _cut(args, name, start, max(count, min(_jobs(args), size // _LEAST_PIECE_BYTES), 1))
+    count = max(-(-size // (_FOLLOWED_BYTES if args.follow else _DATASET_PIECE_BYTES)), 1)
+    jobs = max(min(_jobs(args), size // _LEAST_PIECE_BYTES), 1)
+    return _cut(args, name, start, -(-count // jobs) * jobs)  # equally many for each worker
 
 
 def _cut(args: Namespace, name: str, start: int, count: int) -> list[Piece]:

@@ -128,6 +128,7 @@ class JoinedFile:
         beside_a_pipe = Path(tempfile.gettempdir(), f".{file.path.name}.{os.getpid()}.part")
         self._beside = file.partial.absolute() if self._renamed else beside_a_pipe
         self._parts: list[Pieces] = []
+        self._added = 0
 
     def _path(self, number: int) -> Path:
         return self._beside.with_name(f"{self._beside.name}.{number}")
@@ -154,9 +155,22 @@ class JoinedFile:
         return pieces
 
     def add(self, pieces: Pieces, shape: Shape) -> None:
-        """Take the next part; ``shape``: its columns, and those of the parts in front."""
+        """Take the next part; ``shape``: its columns, and those of the parts in front. Lines go behind those of the
+        first part at once, while other parts are written."""
         self._shape = shape
-        self._parts.append(pieces)
+        if self._added and self._kind != "parquet":
+            path = self._path(self._added)
+            with self._path(0).open("r+b") as out:
+                start = out.seek(0, os.SEEK_END)
+                if self._kind == "csv" and pieces and not start:
+                    start = out.write(text_rows.csv_header((*shape.base, *shape.columns)))
+                    out.flush()
+                parquet_join.append_bytes(path, 0, path.stat().st_size, out)
+            path.unlink()
+            self._parts[0] += [(start + at, width) for at, width in pieces]
+        else:
+            self._parts.append(pieces)
+        self._added += 1
 
     def __enter__(self) -> Self:
         return self
@@ -172,8 +186,9 @@ class JoinedFile:
 
     def _join(self, paths: list[Path]) -> None:
         shape, widths = self._shape, [width for pieces in self._parts for _, width in pieces]
-        if len(paths) == 1 and widths == [len(shape.columns)] and self._renamed:
-            paths[0].replace(self._partial)
+        if len(paths) == 1 and (self._kind == "jsonl" or {*widths} == {len(shape.columns)}) and self._renamed:
+            self._partial.unlink()  # ext4 writes a file to the disk that replaces another
+            paths[0].rename(self._partial)
         elif self._kind == "parquet" and min(widths) < len(shape.columns):
             from tipforce_tools.writing import parquet  # its import costs time
 
@@ -185,9 +200,7 @@ class JoinedFile:
                     return
                 if self._kind == "csv":
                     out.write(text_rows.csv_header((*shape.base, *shape.columns)))
-                for path, pieces in zip(paths, self._parts, strict=True):
-                    self._append(path, pieces, out)
-                    path.unlink()
+                self._append(paths[0], self._parts[0], out)
 
     def _append(self, path: Path, pieces: Pieces, out: BinaryIO) -> None:
         """Append the rows of a part; those of CSV with empty cells for columns that came later."""
