@@ -105,14 +105,22 @@ def command_s(words: Sequence[object], **options: Any) -> tuple[float, float]:
 
 def peak_mb(words: Sequence[object], **options: Any) -> float:
     """The most memory that a command and its processes had at one time, sampled; ``options`` of subprocess.Popen."""
-    peak = 0
+    return max(sum(map(_own_kb, pids)) for pids in _running(words, **options)) * 1024 / 1e6
+
+
+def longest_worker_s(words: Sequence[object]) -> float:
+    """The processor time of that process started by a command that takes most, sampled."""
+    return max(max(map(_own_s, pids[1:]), default=0.0) for pids in _running(words))
+
+
+def _running(words: Sequence[object], **options: Any) -> Iterator[list[int]]:
+    """Run a command; yield its processes fifty times a second, itself first."""
     with subprocess.Popen([str(word) for word in words], stdout=subprocess.DEVNULL, **options) as process:
         while process.poll() is None:
-            peak = max(peak, sum(map(_own_kb, _descendants(process.pid))))
+            yield _descendants(process.pid)
             time.sleep(0.02)
     if process.returncode:
         raise SystemExit(f"{' '.join(map(str, words))} ended with {process.returncode}")
-    return peak * 1024 / 1e6
 
 
 def _descendants(pid: int) -> list[int]:
@@ -121,6 +129,14 @@ def _descendants(pid: int) -> list[int]:
     except OSError:
         return []
     return [pid, *(descendant for child in children for descendant in _descendants(int(child)))]
+
+
+def _own_s(pid: int) -> float:
+    try:
+        user, system = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
+    except OSError:
+        return 0.0
+    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
 
 def _own_kb(pid: int) -> int:

@@ -8,15 +8,17 @@ import shutil
 import statistics
 import tempfile
 import time
+from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from bench.decode import hand_traffic, write_log
-from bench.measure import TIPFORCE, arguments, command_s, cpu_s, in_turns, machine, table, write_page
+from bench.measure import TIPFORCE, arguments, command_s, cpu_s, in_turns, longest_worker_s, machine, table, write_page
 
 from tipforce.host.dataset.manifest import Change, DataFile, Part, Source, commit, read_manifest
 from tipforce.host.dataset.reader import tables
@@ -28,6 +30,7 @@ from tipforce.host.decoding.sample_table import Column
 from tipforce.host.logs.lines import line_borders
 
 FULL_FRAMES, ROUNDS, PARTS = 10_000_000, 3, 100_000
+T = TypeVar("T")
 _CHUNK = 1_000_000
 _START_NS = 1_700_006_400 * 10**9
 _COLUMN = Column("P_N", "P", "real", 3, "N", 0)
@@ -51,15 +54,17 @@ def workers(log: Path, rounds: int) -> str:
     rows = []
     for name in ("run.csv", "run.parquet", "data/"):
 
-        def way(jobs: int, output: str = f"{log.parent}/{name}") -> tuple[float, float]:
-            times = command_s([*TIPFORCE, "decode", "-q", log, "-o", output, "-j", jobs])
+        def way(measure: Callable[[list[object]], T], jobs: int, output: str = f"{log.parent}/{name}") -> T:
+            measured = measure([*TIPFORCE, "decode", "-q", log, "-o", output, "-j", jobs])
             shutil.rmtree(output) if output.endswith("/") else Path(output).unlink()
-            return times
+            return measured
 
-        runs = in_turns({str(jobs): partial(way, jobs) for jobs in (1, 2)}, rounds)
+        longer_s = way(longest_worker_s, 2)
+        runs = in_turns({str(jobs): partial(way, command_s, jobs) for jobs in (1, 2)}, rounds)
         (cpu1, wall1), (cpu2, wall2) = (map(statistics.median, zip(*times, strict=True)) for times in runs.values())
-        rows.append([name, f"{cpu1:.2f}", f"{cpu2:.2f}", f"{cpu2 / cpu1:.2f}", f"{wall1 / wall2:.2f}"])
-    header = ["output", "1 worker, CPU s", "2 workers, CPU s", "CPU of 2 / CPU of 1", "by the clock: 1 / 2"]
+        ratios = cpu2 / cpu1, longer_s / cpu1, wall2 / wall1
+        rows.append([name, f"{cpu1:.2f}", f"{cpu2:.2f}", *(f"{ratio:.2f}" for ratio in ratios)])
+    header = ["output", "1 worker, CPU s", "2 workers, CPU s", "2 / 1", "longer worker / 1", "2 / 1 by the clock"]
     return table(header, rows)
 
 
