@@ -237,7 +237,7 @@ class DecodedPart:
         self.behind_head: OpenRows | None = None
         """None for a part that is too short: it must be decoded after the others."""
         self.head_timed = True
-        self._again: _Kept | None = None  # all its rows, where they were decoded after the others
+        self._rows: _Kept | None = None  # all that begin in it, from ``follow`` on
         for block in source:
             self.services.append(services(block))
             merger.channels, merger.timed, rest = source.channels, source.timed, block
@@ -260,27 +260,20 @@ class DecodedPart:
 
     def follow(self, before: State, *, last: bool) -> Passed:
         """Return what the part leaves after ``before``; ``last``: the recording ends with it."""
-        recording, columns, channels = Recording(self._reading, before), dict[str, Column](), tuple[str, ...]()
-        if (tables := self._after(recording, last)) is None:  # a log that grows may have more now
-            self.kept, self._again = _Kept(), _Kept()
-            return decode_after(before, self._piece, self._reading, last, self._again.extend)[0]
-        for table in tables:
-            columns |= {column.name: column for column in table.columns}
-            channels = table.channels
-        headers = [(in_order(columns.values(), self._reading.signals), channels)] if channels else []
+        recording, columns, self._rows = Recording(self._reading, before), Headers(), _Kept()
+        if (tables := recording.tables_of_part(self)) is None:  # a log that grows may have more now
+            self.kept = _Kept()
+            return decode_after(before, self._piece, self._reading, last, self._rows.extend)[0]
+        self._rows.extend(_noting(chain(tables, recording.finish() if last else ()), columns))
+        known = {column.name: column for of_table, _ in columns for column in of_table}
+        headers = [(in_order(known.values(), self._reading.signals), columns[-1][1])] if columns else []
         return Passed(recording.state(), recording.notes[0], self.services, headers, apart=True)
-
-    def _after(self, recording: Recording, last: bool) -> Iterator[Table] | None:
-        tables = recording.tables_of_part(self)
-        return None if tables is None else chain(tables, recording.finish() if last else ())
 
     def rows(self, before: State, *, last: bool) -> Iterator[Table]:
         """Return all rows that begin in this part, in order, with these arguments of ``follow``."""
-        if self._again is None:
-            if (tables := self._after(Recording(self._reading, before), last)) is not None:
-                return tables
-            self.follow(before, last=last)  # a cluster moved the part before another copy followed
-        return iter(self._again or ())
+        if self._rows is None:  # a cluster moved the part before another copy followed
+            self.follow(before, last=last)
+        return iter(self._rows or ())
 
 
 class _Kept:
