@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from tipforce.arrays import BoolArray
 from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import Column, Table, place_of
 from tipforce.host.decoding.services import BusEvent
@@ -25,6 +25,8 @@ _EVENTS_KIND = Kind("a file of events of `tipforce decode`", rb"\A" + ",".join(E
 NO_FRAME, UNKNOWN = "no_frame", "unknown"
 _EVENTS = {"emcy_reset": "EMCY no error", "boot_up": "boot-up", "state": "NMT state", "calibration": "calibration"}
 _ORDER = (*CAUSES, UNKNOWN)
+_FIRST = np.array([f"{1 << len(CAUSES) | bits:b}"[::-1].index("1") for bits in range(1 << len(CAUSES))])
+"""The place in ``_ORDER`` of the first one of bits."""
 
 
 Place = tuple[str, int]
@@ -74,11 +76,10 @@ class Summary:
                 self._widen(place, *span)
         if not self._reasons:
             return
-        causes = [
-            (number, table.values[name] == is_set, signals)
-            for number, (name, is_set, signals) in enumerate(CAUSES.values())
-            if name in table.values
-        ]
+        causes = np.zeros(len(table), dtype=np.uint16)  # a bit for each
+        for number, (name, is_set, _) in enumerate(CAUSES.values()):
+            if name in table.values:
+                causes |= (table.values[name] == is_set).astype(np.uint16) << np.uint16(number)
         for column in table.columns:
             if column.kind == "real":
                 absent = table.absent.get(column.name)
@@ -88,17 +89,14 @@ class Summary:
                 self._add_missing(column, table, places, causes)
 
     def _add_missing(
-        self, column: Column, table: Table, places: dict[int, Place],
-        causes: list[tuple[int, BoolArray, set[str] | None]],
+        self, column: Column, table: Table, places: dict[int, Place], causes: npt.NDArray[np.uint16]
     ) -> None:  # fmt: skip
         rows = np.flatnonzero(np.isnan(table.values[column.name]))
         absent = table.absent.get(column.name)
         if absent is not None:
             rows = rows[~absent[rows]]
-        reason = np.full(len(rows), _ORDER.index(UNKNOWN))
-        for number, is_set, signals in reversed(causes):  # the first one counts
-            if signals is None or column.signal in signals:
-                reason[is_set[rows]] = number
+        of_signal = [signals is None or column.signal in signals for _, _, signals in CAUSES.values()]
+        reason = _FIRST[causes[rows] & sum(1 << number for number, counts in enumerate(of_signal) if counts)]
         counts = np.bincount(table.key[rows].astype(np.intp) * len(_ORDER) + reason)
         cells = np.flatnonzero(counts)
         for cell, count in zip(cells.tolist(), counts[cells].tolist(), strict=True):
