@@ -19,6 +19,7 @@ from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import DecodedPart, Passed, Recording, State
 from tipforce.host.decoding.sample_table import NODE_BITS, Table, is_missing
 from tipforce_tools.decode.workers import Event, InOrder, Work
+from tipforce_tools.writing.text_rows import TIME
 from tipforce_tools.writing.writers import Shape
 from tools.decode.logs import decode, log_lines, write_log
 
@@ -69,7 +70,9 @@ def lines_of(steps: list[tuple[str, int, int, int]], modulus: int) -> list[str]:
 class Rows:
     def write(self, number: int, tables: Iterable[Table], shape: Shape) -> list[str]:
         del number
-        return [text for table in tables if shape.fits(table) is not None for text in texts(table)]
+        return [
+            text for table in tables if shape.take(table.columns, table.channels) is not None for text in texts(table)
+        ]
 
 
 def texts(table: Table) -> list[str]:
@@ -125,7 +128,7 @@ def in_parts(log: Path, cuts: list[int], slots: int, order: random.Random) -> tu
     edges = sorted({0, *(starts[cut % len(starts)] for cut in cuts), len(text)})
     pieces = [Piece(str(log), start, end) for start, end in pairwise(edges)]
     recording, workers = Recording(READING), Shuffled(slots, order, Rows())
-    parts = [done.written for done in InOrder(pieces, recording, Shape(("t_s",)), workers)]
+    parts = [done.written for done in InOrder(pieces, recording, Shape((TIME,)), workers)]
     assert [part.number for part in parts] == list(range(len(pieces)))
     return [row for part in parts for row in part.record], recording, workers.apart
 

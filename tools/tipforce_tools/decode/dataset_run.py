@@ -16,26 +16,16 @@ import tipforce
 from canopen_device.visible_text import visible
 from tipforce.errors import InputError
 from tipforce.host.dataset import manifest as manifests
-from tipforce.host.dataset.manifest import (
-    Change,
-    DataFile,
-    Manifest,
-    Part,
-    Source,
-    commit,
-    files_of,
-    read_manifest,
-    run_lock,
-)
+from tipforce.host.dataset.manifest import Change, DataFile, Manifest, Part, Source, files_of, read_manifest, run_lock
 from tipforce.host.dataset.reader import need_pyarrow
 from tipforce.host.dataset.store import FOLDER, Store, url_of
 from tipforce.host.decoding.log_part import Piece, Reading
 from tipforce.host.decoding.recording import Recording, State
-from tipforce.host.decoding.sample_table import Column
 from tipforce.host.logs.lines import decompressed, open_file
 from tipforce.host.logs.reader import log_kind
 from tipforce_tools.decode.workers import Done, InOrder, Sink, Workers, Written
-from tipforce_tools.writing.dataset_files import BASE, DatasetSink, events_file, joined_parts
+from tipforce_tools.writing.dataset_files import DatasetSink, events_file, joined_parts
+from tipforce_tools.writing.text_rows import BASE
 from tipforce_tools.writing.writers import Shape
 
 HASHED_BYTES = 1 << 16
@@ -279,15 +269,14 @@ class DatasetRun:
             [(event.channel, event.node_id, event.code, event.t_ns) for event in events if event.kind == "calibration"],
         ))  # fmt: skip
         known = {column.name for column in self._change.columns}
-        columns = (column for column in written.shape.columns if isinstance(column, Column))
-        self._change.columns += [column for column in columns if column.name not in known]
+        self._change.columns += [column for column in written.shape.columns if column.name not in known]
         self.added += 1
 
     def _commit(self) -> None:
         began = time.monotonic()
         change, self._change = self._change, Change()
         self._separate(change)
-        self.manifest = commit(self.store, change)
+        self.manifest = manifests.commit(self.store, change)
         for source_id in change.expected:  # a chain is committed in steps
             self._change.expected[source_id] = self.manifest.source(source_id)
         self._committed = time.monotonic()

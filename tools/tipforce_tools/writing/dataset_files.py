@@ -23,14 +23,13 @@ from tipforce.host.dataset.manifest import Change, DataFile, Manifest, Part, com
 from tipforce.host.dataset.reader import damage_named
 from tipforce.host.dataset.store import FOLDER, Store
 from tipforce.host.decoding.sample_table import Table, place_of
-from tipforce_tools.writing.text_rows import CHANNEL, COUNTER, NODE, TIME
+from tipforce_tools.writing.text_rows import BASE, NODE
 from tipforce_tools.writing.writers import Shape
 
 if TYPE_CHECKING:
     from tipforce.host.decoding.services import BusEvent
     from tipforce_tools.writing.parquet import Parts
 
-BASE = (TIME, CHANNEL, NODE, COUNTER)
 _DAY_NS = 86_400 * 10**9
 
 
@@ -56,7 +55,7 @@ class DatasetSink:
             for table in tables:
                 from tipforce_tools.writing.parquet import Parts, arrow_table  # not before there are rows
 
-                shape.fits(table)
+                shape.take(table.columns, table.channels)
                 order, cuts = _partitions(table)
                 ordered = replace(table, t_ns=table.t_ns // 1000 * 1000).take(order)  # as the file has it
                 rows = arrow_table(ordered, rows_schema(shape))
@@ -79,7 +78,7 @@ def rows_schema(shape: Shape) -> Any:
     from tipforce_tools.writing.parquet import schema_of
 
     schema = schema_of(shape)
-    return schema.remove(schema.get_field_index(NODE))
+    return schema.remove(schema.get_field_index(NODE.name))
 
 
 def put_file(store: Store, place: Path, file: DataFile) -> DataFile:
