@@ -13,15 +13,15 @@ from tipforce.arrays import BoolArray, FloatArray, IntArray, occurring
 from tipforce.dictionary import table
 from tipforce.dictionary.signals import Message, Signal
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.decoding.health import NAMES
+from tipforce.host.decoding.health import NAMES, told_by
+from tipforce.host.decoding.sample_rule import COUNTER
 from tipforce.host.decoding.sample_table import Layout, divisor_of
 from tipforce.samples import reasons
-from tipforce.samples.columns import Block, contact_values, uncertainties
+from tipforce.samples.columns import Block, contact_values, sent_values, uncertainties
 from tipforce.samples.contact import Contact, Fields
 from tipforce.samples.reasons import PRESENT, Status, status_of
 
 Column = npt.NDArray[Any]
-COUNTER = "counter"
 _UNKNOWN = (math.nan,) * 6
 
 
@@ -33,11 +33,9 @@ class Pdo:
         start = {signal.name: signal.start_bit for signal in message.signals}
         self.counter_shift = start.get(COUNTER, -1)
         self.stale_mask = 1 << start["stale"] if "stale" in start else 0
-        bits = {name: bit for name, bit in NAMES.items() if name in start}
-        whole = all(f"fault_{name}" in bits for _, name, _ in table.FAULT_BITS)
-        self.fault_mask = sum(1 << bit for bit in bits.values()) if whole else 0
+        self.fault_mask = told_by(start)
         """Of 2124h, if the PDO has it."""
-        self.fault_shift = min((start[name] - bit for name, bit in bits.items()), default=0)
+        self.fault_shift = min((start[name] - bit for name, bit in NAMES.items() if name in start), default=0)
         self.start = start
         """By name of a signal its first bit."""
         self.raw = {signal.name: _raw(signal) for signal in message.signals}
@@ -61,11 +59,10 @@ class JoinedSamples:
     def __init__(
         self, t_ns: npt.NDArray[np.int64], node: npt.NDArray[np.uint8], counter: npt.NDArray[np.int64],
         columns: Mapping[str, Column], reason: npt.NDArray[np.uint8] | None = None, gauges: int = 0,
-        calibrations: Mapping[int, Calibration | None] | None = None,
-        fingers: Sequence[int] = (), calibrated: bool = False,
+        calibrations: Mapping[int, Calibration | None] | None = None, calibrated: bool = False,
     ) -> None:  # fmt: skip
         """``gauges``: of each node; 0: as many as the PDOs carry. ``calibrations``: by node-id; ``calibrated``: also
-        nodes that have none. ``fingers``: the node-ids, where the samples are rows of these."""
+        nodes that have none."""
         self.t_ns = t_ns
         """(n,) time of reception."""
         self.node = node
@@ -77,7 +74,7 @@ class JoinedSamples:
         self.reason = np.zeros(len(t_ns), dtype=np.uint8) if reason is None else reason
         """(n,) why there is no sample, as an index of ``reasons.OF_ROW``; PRESENT where there is one."""
         self._gauges, self._calibrations = gauges, calibrations or {}
-        self._fingers, self._calibrated = fingers, np.uint16(Status.CALIBRATED if calibrated else 0)
+        self._calibrated = np.uint16(Status.CALIBRATED if calibrated else 0)
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -113,11 +110,14 @@ class JoinedSamples:
     @cached_property
     def _found(self) -> tuple[FloatArray, npt.NDArray[np.uint16]]:
         """``contact``, and the doubts of it, (n,)."""
-        if self._has_contact:
-            return contact_values(self.columns, self.gauges, self._sent_status, None)
-        status = self._sent_status | self._calibrated
         values, doubts = np.full((len(self), 3), np.nan), np.zeros(len(self), dtype=np.uint16)
-        for node_id, rows in self._by_node.items():
+        if self._has_contact:
+            return sent_values(self.columns, self._sent_status), doubts
+        status = self._sent_status | self._calibrated
+        for node_id in occurring(self.node):
+            at = np.flatnonzero(self.node == node_id)
+            step = int(at[1] - at[0]) if len(at) > 1 else 1  # even in the rows of a hand: parts of columns are views
+            rows: Any = slice(int(at[0]), int(at[-1]) + 1, step) if (np.diff(at) == step).all() else at
             columns = {name: column[rows] for name, column in self.columns.items()}
             strain, calibration = self.gauges[rows] * 1e-6, self._calibrations.get(node_id)
             values[rows], doubts[rows] = contact_values(columns, strain, status[rows], calibration)
@@ -126,20 +126,7 @@ class JoinedSamples:
     @cached_property
     def uncertainties(self) -> FloatArray:
         """(n, 3) standard uncertainty of each contact, in the same units, from gauge noise; NaN where unknown."""
-        if self._fingers:
-            of_fingers = [self._calibrations.get(node_id) for node_id in self._fingers]
-            return uncertainties(self.contact.reshape(-1, len(of_fingers), 3), of_fingers).reshape(-1, 3)
-        u = np.full((len(self), 3), np.nan)
-        for node_id, rows in self._by_node.items():
-            u[rows] = uncertainties(self.contact[rows, np.newaxis], [self._calibrations.get(node_id)])[:, 0]
-        return u
-
-    @cached_property
-    def _by_node(self) -> Mapping[int, Any]:
-        if self._fingers:
-            return {node_id: slice(k, None, len(self._fingers)) for k, node_id in enumerate(self._fingers)}
-        nodes = occurring(self.node)
-        return {n: np.flatnonzero(self.node == n) if len(nodes) > 1 else slice(None) for n in nodes}
+        return uncertainties(self.contact, self.node, self._calibrations)
 
     def contacts(self, names: Mapping[int, str] | None = None) -> Iterator[Contact]:
         """Yield the samples one by one; ``names``: of the fingers, by node-id."""
@@ -224,7 +211,7 @@ class Rows:
         return JoinedSamples(
             np.repeat(self.sync_ns, len(node_ids)), np.tile(np.array(node_ids, dtype=np.uint8), len(self)),
             self.counter.ravel(), {name: column.ravel() for name, column in self.columns.items()},
-            self.reason.ravel(), gauges, dict(zip(node_ids, calibrations, strict=True)), node_ids, calibrated,
+            self.reason.ravel(), gauges, dict(zip(node_ids, calibrations, strict=True)), calibrated,
         )  # fmt: skip
 
     def block(

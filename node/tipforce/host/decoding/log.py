@@ -25,7 +25,7 @@ from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import NO_FLAG, NO_INTEGER, Table, missing_of, node_of
 from tipforce.host.logs.notes import no_frame
 from tipforce.samples import reasons
-from tipforce.samples.columns import contact_values, uncertainties
+from tipforce.samples.columns import sent_values, uncertainties
 from tipforce.samples.reasons import Status
 
 if TYPE_CHECKING:
@@ -218,8 +218,9 @@ def _node_log(node_id: int, tables: list[Table], n: int, calibration: Calibratio
         for signal, c in of_signal.items()
     }
     strain, status = np.stack([columns[name] for name in gauges], axis=-1), reasons.status_of(columns, t_ns.shape)
-    contact, doubts = contact_values(columns, strain * 1e-6, status, calibration)
-    values, status = np.hstack((contact, uncertainties(contact[:, np.newaxis], [calibration])[:, 0])), status | doubts
+    contact = sent_values(columns, status, calibration is not None and calibration.pull)
+    node = np.full(len(t_ns), node_id, dtype=np.uint8)
+    values = np.hstack((contact, uncertainties(contact, node, {node_id: calibration})))
     if calibration is not None:
         rows, contacts = of_samples(prepared(calibration), columns, strain, status, History(), t_ns)
         values[rows], status[rows] = contacts.values, contacts.status
