@@ -78,14 +78,9 @@ class Tally:
             self.messages[place] = self.messages.get(place, MessageCount()).followed_by(count)
         self.short.update(other.short)
 
-    def rows(self) -> tuple[list[TallyRow], list[tuple[str, int, str, int]]]:
-        """Return both counts as rows."""
-        messages = [(*place, *count) for place, count in self.messages.items()]
-        return messages, [(*place, frames) for place, frames in self.short.items()]
-
     @classmethod
     def of_rows(cls, messages: Iterable[TallyRow], short: Iterable[tuple[str, int, str, int]]) -> Tally:
-        """Return the counts that ``rows`` returned."""
+        """Return the counts of rows: places and what is counted of them."""
         counts = {row[:3]: MessageCount._make(row[3:]) for row in messages}
         return cls(counts, Counter({row[:3]: row[3] for row in short}))
 

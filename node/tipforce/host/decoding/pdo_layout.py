@@ -214,8 +214,5 @@ def signals_named(decoder: Decoder, names: Iterable[str]) -> tuple[str, ...]:
 
 def has_signal(decoder: Decoder, name: str) -> bool:
     """Return whether any message of the decoder has a signal."""
-    try:
-        decoder.plan([name])
-    except InputError:
-        return False
-    return True
+    messages = {id(message): message for _, message in decoder.messages().values()}  # one for many nodes
+    return any(signal.name == name for message in messages.values() for signal in message.signals)

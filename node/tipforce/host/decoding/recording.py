@@ -67,7 +67,6 @@ class Passed:
     """All frames that ``BusEvents`` looks at; channels are numbered as in ``notes.channels``."""
     columns: Headers
     """Of a part that was decoded apart, one element: all of them, in order."""
-    apart: bool = False
 
 
 class Recording:
@@ -121,12 +120,13 @@ class Recording:
 
     def state(self) -> State:
         """Return what the next part of the recording depends on."""
-        frames, number, syncs = self._merger.open
-        tally, short = self.tally.rows()
+        held, number, syncs = self._merger.open
         return State(
-            list(self.channels), self._merger.timed, frames.tobytes(), number.tolist(), syncs,
+            list(self.channels), self._merger.timed, held.tobytes(), number.tolist(), syncs,
             dict(self._counters.last), self._health.told, list(self._health.sampled),
-            [(*place, code) for place, code in self.bus.states.items()], tally, short,
+            [(*place, code) for place, code in self.bus.states.items()],
+            [(*place, *count) for place, count in self.tally.messages.items()],
+            [(*place, frames) for place, frames in self.tally.short.items()],
             [(*place, crc) for place, crc in self.bus.calibrations.items()],
         )  # fmt: skip
 
@@ -269,7 +269,7 @@ class DecodedPart:
             columns |= {column.name: column for column in table.columns}
             channels = table.channels
         headers = [(in_order(columns.values(), self._reading.signals), channels)] if channels else []
-        return Passed(recording.state(), recording.notes[0], self.services, headers, apart=True)
+        return Passed(recording.state(), recording.notes[0], self.services, headers)
 
     def _after(self, recording: Recording, last: bool) -> Iterator[Table] | None:
         tables = recording.tables_of_part(self)
