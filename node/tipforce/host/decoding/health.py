@@ -2,7 +2,7 @@
 default TPDO4 is off, so EMCY is all that a bus shows of bits 12 to 15; bit 13 has none."""
 
 import struct
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -151,38 +151,33 @@ def joins(signals: Iterable[str] | None) -> bool:
     return signals is None or any(name in NAMES for name in signals)
 
 
-def with_services(signals: tuple[str, ...] | None) -> tuple[str, ...] | None:
-    """The signals to decode where these are asked for."""
-    return signals if signals is None or not joins(signals) else (*signals, EMCY, STATE)
-
-
 class HealthRows:
-    """Joins table after table. ``asked``: the signals shown (None: all). ``told``: (faults, seen) before the first."""
+    """Joins table after table. ``asked``: the signals shown (None: all). Before the first: ``told``, (faults, seen) by
+    key, and ``sampled``, the keys of the nodes with samples."""
 
-    def __init__(self, asked: tuple[str, ...] | None = None, told: Mapping[int, tuple[int, int]] | None = None) -> None:
-        self._asked = asked
-        self._health = Health(told)
+    def __init__(
+        self, asked: tuple[str, ...] | None, told: Mapping[int, tuple[int, int]] | None = None,
+        sampled: Iterable[int] = (),
+    ) -> None:  # fmt: skip
+        self._asked, self._health = asked, Health(told)
         self._rows = 0
-        self.sampled: dict[int, tuple[str, int]] = {}
+        self.sampled = dict.fromkeys(sampled)
 
     @property
     def told(self) -> dict[int, tuple[int, int]]:
         """(faults, seen) by key now."""
         return {key: self._health.now(key) for key in self._health.nodes}
 
-    @property
-    def unseen(self) -> list[tuple[str, int]]:
+    def unseen(self, channels: Sequence[str]) -> list[tuple[str, int]]:
         """Channel and node-id of the nodes with samples of which nothing told any of bits 12 to 15."""
-        seen = {key for key in self._health.nodes if self._health.now(key)[1] & reasons.JUDGED}
-        return sorted(place for key, place in self.sampled.items() if key not in seen)
+        return sorted(place_of(channels, key) for key in self.sampled if not self._health.now(key)[1] & reasons.JUDGED)
 
     def joined(self, table: Table) -> Table:
         """The table with the columns of 2124h in all rows where they are known, and without rows of other messages."""
         place = self._rows + np.arange(len(table))
         self._rows += len(table)
         service = self._take(table, place)
-        for key in occurring(table.key[~service & (table.counter != NO_COUNTER)]):
-            self.sampled[key] = place_of(table.channels, key)
+        self.sampled |= dict.fromkeys(occurring(table.key[~service & (table.counter != NO_COUNTER)]))
         if self._health.nodes:
             table = self._with_faults(table, place)
         if not service.any() and EMCY not in table.values and STATE not in table.values:
