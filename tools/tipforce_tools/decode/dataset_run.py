@@ -16,7 +16,7 @@ import tipforce
 from canopen_device.visible_text import visible
 from tipforce.errors import InputError
 from tipforce.host.dataset import manifest as manifests
-from tipforce.host.dataset.manifest import Change, DataFile, Manifest, Part, Source, files_of, read_manifest, run_lock
+from tipforce.host.dataset.manifest import Change, DataFile, Manifest, Part, Source, commit, files_of, read_manifest
 from tipforce.host.dataset.reader import need_pyarrow
 from tipforce.host.dataset.store import FOLDER, Store, url_of
 from tipforce.host.decoding.log_part import Piece, Reading
@@ -129,7 +129,7 @@ class DatasetRun:
     def add(self, names: Sequence[str]) -> Generator[Written]:
         """Add what the dataset does not have, and what was removed from it; yield each part before it is committed.
         Raises InputError, WriteError, OSError; what was committed stays. What ends the iteration ends the run."""
-        with run_lock(self.store, self._token):
+        with manifests.run_lock(self.store, self._token):
             self.manifest = read_manifest(self.store) or _new(self.store)
             manifests.remove_replaced(self.store, self.manifest)
             names = [name for name in names if os.path.getsize(name)] or names[:1]  # empty logs do not differ
@@ -276,7 +276,7 @@ class DatasetRun:
         began = time.monotonic()
         change, self._change = self._change, Change()
         self._separate(change)
-        self.manifest = manifests.commit(self.store, change)
+        self.manifest = commit(self.store, change)
         for source_id in change.expected:  # a chain is committed in steps
             self._change.expected[source_id] = self.manifest.source(source_id)
         self._committed = time.monotonic()

@@ -44,14 +44,10 @@ class DatasetSink:
 
     def write(self, number: int, tables: Iterable[Table], shape: Shape) -> list[DataFile]:
         """Write the rows of a part, ``shape`` grows by their columns; each file appears when it is complete."""
-        store = Store(self._directory)
-        with store.scratch(f"{FOLDER}/{self._token}") as scratch:
-            return self._files(store, scratch, self.names[number], tables, shape)
-
-    def _files(self, store: Store, scratch: Path, name: str, tables: Iterable[Table], shape: Shape) -> list[DataFile]:
+        store, name = Store(self._directory), self.names[number]
         parts: dict[str, Parts] = {}  # by path in the dataset, as the files
         files: dict[str, DataFile] = {}
-        with ExitStack() as stack:
+        with store.scratch(f"{FOLDER}/{self._token}") as scratch, ExitStack() as stack:
             for table in tables:
                 from tipforce_tools.writing.parquet import Parts, arrow_table  # not before there are rows
 
