@@ -14,7 +14,7 @@ import numpy.typing as npt
 from canopen_device.core.codes import STANDARD_MASK
 from tipforce.dictionary.signals import Message, mapping_signals, tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.decoding.sample_rule import SAMPLES, SLOT, counter_place, follows_sync, join
+from tipforce.host.decoding.sample_rule import SAMPLES, SLOT, counter_place, follows_sync, join, losses
 from tipforce.host.decoding.sample_table import Layout, Values
 from tipforce.host.frames.frame_array import FrameArray
 
@@ -237,6 +237,4 @@ def unwrap_counter(counter: npt.ArrayLike, modulus: int = 256) -> npt.NDArray[np
 def lost_samples(counter: npt.ArrayLike, modulus: int = 256) -> int:
     """Return how many samples of a PDO at every SYNC are missing, by its counter (k,). ``modulus``: 256, or the largest
     SYNC number (1019h), then from 1. 255 or 256 lost in a row do not show; one out of order counts as 254."""
-    values = np.asarray(counter, dtype=np.int64)
-    steps = np.diff(values if modulus == 256 else values[values > 0]) % modulus
-    return int(np.maximum(steps - 1, 0).sum())
+    return losses(counter, modulus)[2]
