@@ -125,9 +125,9 @@ def in_parts(log: Path, cuts: list[int], slots: int, order: random.Random) -> tu
     edges = sorted({0, *(starts[cut % len(starts)] for cut in cuts), len(text)})
     pieces = [Piece(str(log), start, end) for start, end in pairwise(edges)]
     recording, workers = Recording(READING), Shuffled(slots, order, Rows())
-    parts = [done.written for done in InOrder(pieces, recording, Shape((TIME,)), workers)]
-    assert [part.number for part in parts] == list(range(len(pieces)))
-    return [row for part in parts for row in part.record], recording, workers.apart
+    parts = [*InOrder(pieces, recording, Shape((TIME,)), workers)]
+    assert [part.piece for part in parts] == pieces
+    return [row for part in parts for row in part.written.record], recording, workers.apart
 
 
 def one_pass(log: Path) -> tuple[list[str], Recording]:

@@ -23,7 +23,7 @@ from tipforce.host.decoding.log_part import Piece, Reading
 from tipforce.host.decoding.recording import Recording, State
 from tipforce.host.logs.lines import decompressed, open_file
 from tipforce.host.logs.reader import log_kind
-from tipforce_tools.decode.workers import Done, InOrder, Sink, Workers, Written
+from tipforce_tools.decode.workers import Done, InOrder, Sink, Workers
 from tipforce_tools.writing.dataset_files import DatasetSink, events_file, joined_parts
 from tipforce_tools.writing.text_rows import BASE
 from tipforce_tools.writing.writers import Shape
@@ -126,7 +126,7 @@ class DatasetRun:
         """Parts of this run."""
         self._recording = recording
 
-    def add(self, names: Sequence[str]) -> Generator[Written]:
+    def add(self, names: Sequence[str]) -> Generator[Done]:
         """Add what the dataset does not have, and what was removed from it; yield each part before it is committed.
         Raises InputError, WriteError, OSError; what was committed stays. What ends the iteration ends the run."""
         with manifests.run_lock(self.store, self._token):
@@ -223,7 +223,7 @@ class DatasetRun:
     def _follower(self, source: Source) -> Source | None:
         return next((one for one in self.manifest.sources if one.after == source.id), None)
 
-    def _add_chain(self, chain: _Chain) -> Iterator[Written]:
+    def _add_chain(self, chain: _Chain) -> Iterator[Done]:
         sink = DatasetSink(self.store.name, self._token, self._hand)
         pieces: list[Piece] = []
         logs: list[_Log] = []
@@ -248,14 +248,13 @@ class DatasetRun:
             state = done.state
             if last:
                 self._recording.append(recording)
-            yield done.written
+            yield done
             due = time.monotonic() - self._committed > max(_COMMIT_S, _COMMIT_SHARE * self._cost_s)
             if last or (due and recording.tally.messages):  # what is not a log of fingertips is not committed
                 self._commit()
 
     def _take(self, done: Done, log: _Log, name: str, before: State, last: bool) -> None:
-        written, state, notes, events = done
-        piece = written.piece
+        piece, written, state, notes, events = done
         end = log.size if piece.end is None else piece.end
         log.source = msgspec.structs.replace(
             log.source, name=visible(url_of(piece.name)), size=end, tail_sha256=tail_hash(piece.name, end),
