@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tipforce.host.decoding.sample_table import NO_COUNTER, Column, Table, is_missing
-from tipforce_tools.writing.text_rows import BASE, CHANNEL, COUNTER, NODE, TIME, event_rows
+from tipforce_tools.writing.text_rows import BASE, CHANNEL, COUNTER, EVENT_COLUMNS, NODE, TIME, event_rows
 
 if TYPE_CHECKING:
     from tipforce.host.decoding.services import BusEvent
@@ -27,10 +27,8 @@ _TYPES = {
     TIME.kind: pa.timestamp("us", tz="UTC"),  # a bit on the bus takes a microsecond; Spark has no finer time
     CHANNEL.kind: pa.string(), NODE.kind: pa.uint8(), COUNTER.kind: pa.int64(),
 }  # fmt: skip
-EVENTS = pa.schema([
-    *((column.name, _TYPES[column.kind]) for column in (TIME, CHANNEL, NODE)),
-    ("event", pa.string()), ("code", pa.string()), ("text", pa.string()),
-])  # fmt: skip
+_EVENT_TYPES = *(_TYPES[column.kind] for column in (TIME, CHANNEL, NODE)), pa.string(), pa.string(), pa.string()
+EVENTS = pa.schema(zip(EVENT_COLUMNS, _EVENT_TYPES, strict=True))
 
 
 def schema_of(shape: Shape) -> pa.Schema:

@@ -131,6 +131,8 @@ TIME, CHANNEL, NODE, COUNTER = BASE = tuple(
     Column(name, name, name, 0, "", 0) for name in ("t_s", "channel", "node", "counter")
 )
 """The columns that every table has, each of its own kind."""
+EVENT_COLUMNS = (TIME.name, CHANNEL.name, NODE.name, "event", "code", "text")
+"""Names of those of ``event_rows``."""
 _UNITS = {"degree": "deg"}
 _CHUNK_ROWS = 32_768
 
