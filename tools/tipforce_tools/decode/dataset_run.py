@@ -120,8 +120,7 @@ class DatasetRun:
         self._change = Change()
         self._committed, self._cost_s = time.monotonic(), 0.0
         self._parts = 0
-        self._new: list[str] = []  # hashes of the heads of new logs
-        self._begins: dict[str, str] = {}
+        self._new: list[Source] = []  # of this run
         self.added = 0
         """Parts of this run."""
         self._recording = recording
@@ -196,19 +195,19 @@ class DatasetRun:
         head = min(os.path.getsize(name), HASHED_BYTES)
         # The same for two writers, so that one of them learns of the other.
         digest, begin = hash_of(name, 0, head), begin_hash(name)
-        known = {source.begin_sha256: source.name for source in self.manifest.sources} | self._begins
+        sources = *self.manifest.sources, *self._new
+        known = {source.begin_sha256: source.name for source in sources}
         if begin in known:
             raise InputError(
                 f"{name}: begins like {known[begin]}: it is a copy, or one was changed, packed or shortened; leave one "
                 "out, or decode into another directory"
             )
-        self._begins[begin] = str(name)
-        self._new.append(digest)
-        same = sum(one.head_sha256 == digest for one in self.manifest.sources) + self._new.count(digest) - 1
-        return Source(
+        same = sum(source.head_sha256 == digest for source in sources)
+        self._new.append(Source(
             f"{digest[:12]}{same or ''}", str(name), head, digest, 0, "", self._options, tipforce.__version__,
             before.id if before else None, False, 0, None, Recording(self._reading).state(), begin,
-        )  # fmt: skip
+        ))  # fmt: skip
+        return self._new[-1]
 
     def _grown(self, source: Source, name: str) -> _Chain:
         if (follower := self._follower(source)) is not None:
