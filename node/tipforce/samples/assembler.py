@@ -32,7 +32,7 @@ class Assembler:
         calibrations: Mapping[int, Calibration | None] | None = None,
     ) -> None:  # fmt: skip
         self.pdos = {can_id: (node_id, Pdo(message)) for can_id, (node_id, message) in pdos.items()}
-        self._needed, self._gauges, self._calibrations = frozenset(needed), gauges, calibrations
+        self._needed, self._gauges, self._calibrations = frozenset(needed), gauges, calibrations or {}
         self._latest: dict[int, _Sample] = {}  # by node-id, of PDOs that follow SYNC
         self._complete: list[_Sample] = []
         self._rule, self._frames = SampleRule(), 0
@@ -106,7 +106,7 @@ class Assembler:
         t_ns, node, counter, faults = np.array(heads, dtype=np.int64).reshape(-1, 4).T
         columns = _columns(samples) | {name: faults >> bit & 1 for name, bit in NAMES.items()}
         node_id = node.astype(np.uint8)
-        return JoinedSamples(t_ns, node_id, counter, columns, gauges=self._gauges, calibrations=self._calibrations)
+        return JoinedSamples(t_ns, node_id, counter, columns, self._calibrations, self._gauges)
 
 
 def _columns(samples: Sequence[_Sample]) -> dict[str, Column]:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
 from typing import Any
@@ -13,15 +14,15 @@ from tipforce.arrays import BoolArray, FloatArray, IntArray, occurring
 from tipforce.dictionary import table
 from tipforce.dictionary.signals import Message, Signal
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.decoding.health import NAMES
+from tipforce.host.decoding.health import NAMES, told_by
+from tipforce.host.decoding.sample_rule import COUNTER
 from tipforce.host.decoding.sample_table import Layout, divisor_of
 from tipforce.samples import reasons
-from tipforce.samples.columns import Block, contact_values, uncertainties
+from tipforce.samples.columns import Block, contact_values, sent_values, uncertainties
 from tipforce.samples.contact import Contact, Fields
 from tipforce.samples.reasons import PRESENT, Status, status_of
 
 Column = npt.NDArray[Any]
-COUNTER = "counter"
 _UNKNOWN = (math.nan,) * 6
 
 
@@ -33,11 +34,9 @@ class Pdo:
         start = {signal.name: signal.start_bit for signal in message.signals}
         self.counter_shift = start.get(COUNTER, -1)
         self.stale_mask = 1 << start["stale"] if "stale" in start else 0
-        bits = {name: bit for name, bit in NAMES.items() if name in start}
-        whole = all(f"fault_{name}" in bits for _, name, _ in table.FAULT_BITS)
-        self.fault_mask = sum(1 << bit for bit in bits.values()) if whole else 0
+        self.fault_mask = told_by(start)
         """Of 2124h, if the PDO has it."""
-        self.fault_shift = min((start[name] - bit for name, bit in bits.items()), default=0)
+        self.fault_shift = min((start[name] - bit for name, bit in NAMES.items() if name in start), default=0)
         self.start = start
         """By name of a signal its first bit."""
         self.raw = {signal.name: _raw(signal) for signal in message.signals}
@@ -55,29 +54,26 @@ def _raw(signal: Signal) -> tuple[int, int, int, int | None, int]:
     return signal.start_bit, mask, signal.signed * (mask + 1 >> 1), signal.unknown, divisor_of(signal) or 1
 
 
+@dataclass(eq=False, repr=False)
 class JoinedSamples:
     """n samples in the order in which they were joined; whatever is computed of them is when it is first read."""
 
-    def __init__(
-        self, t_ns: npt.NDArray[np.int64], node: npt.NDArray[np.uint8], counter: npt.NDArray[np.int64],
-        columns: Mapping[str, Column], reason: npt.NDArray[np.uint8] | None = None, gauges: int = 0,
-        calibrations: Mapping[int, Calibration | None] | None = None,
-        fingers: Sequence[int] = (), calibrated: bool = False,
-    ) -> None:  # fmt: skip
-        """``gauges``: of each node; 0: as many as the PDOs carry. ``calibrations``: by node-id; ``calibrated``: also
-        nodes that have none. ``fingers``: the node-ids, where the samples are rows of these."""
-        self.t_ns = t_ns
-        """(n,) time of reception."""
-        self.node = node
-        """(n,) node-ids."""
-        self.counter = counter
-        """(n,) sample counter (2121h), -1 where there is none."""
-        self.columns = columns
-        """Every signal of the PDOs, (n,) each: measurements in their unit, NaN for unknown; flags as bool."""
-        self.reason = np.zeros(len(t_ns), dtype=np.uint8) if reason is None else reason
-        """(n,) why there is no sample, as an index of ``reasons.OF_ROW``; PRESENT where there is one."""
-        self._gauges, self._calibrations = gauges, calibrations or {}
-        self._fingers, self._calibrated = fingers, np.uint16(Status.CALIBRATED if calibrated else 0)
+    t_ns: npt.NDArray[np.int64]
+    """(n,) time of reception."""
+    node: npt.NDArray[np.uint8]
+    """(n,) node-ids."""
+    counter: npt.NDArray[np.int64]
+    """(n,) sample counter (2121h), -1 where there is none."""
+    columns: Mapping[str, Column]
+    """Every signal of the PDOs, (n,) each: measurements in their unit, NaN for unknown; flags as bool."""
+    calibrations: Mapping[int, Calibration | None] = field(default_factory=dict)
+    """By node-id."""
+    gauge_count: int = 0
+    """Of each node; 0: as many as the PDOs carry."""
+    reason: npt.NDArray[np.uint8] | int = PRESENT
+    """(n,) why there is no sample, as an index of ``reasons.OF_ROW``; PRESENT where there is one."""
+    calibrated: bool = False
+    """Each node is, whatever it says."""
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -89,14 +85,14 @@ class JoinedSamples:
 
     @cached_property
     def _sent_status(self) -> npt.NDArray[np.uint16]:
-        missing = self.reason != PRESENT
-        return status_of(self.columns, (len(self),)) | np.where(missing, np.uint16(Status.NO_ANSWER), np.uint16(0))
+        no_answer = np.where(np.not_equal(self.reason, PRESENT), np.uint16(Status.NO_ANSWER), np.uint16(0))
+        return status_of(self.columns, (len(self),)) | no_answer
 
     @cached_property
     def gauges(self) -> FloatArray:
         """(n, g) strain in microstrain; NaN where unknown. g is 0 where no PDO carries a gauge."""
         carried = sorted(int(name[2:]) for name in self.columns if name[:2] == "SG" and name[2:].isdigit())
-        wanted = range(1, self._gauges + 1) if carried and self._gauges else carried
+        wanted = range(1, self.gauge_count + 1) if carried and self.gauge_count else carried
         unknown = np.full(len(self), np.nan)
         strains = [self.columns.get(f"SG{number}", unknown).astype(np.float64) for number in wanted]
         return np.stack(strains, axis=-1) if strains else np.zeros((len(self), 0))
@@ -113,37 +109,28 @@ class JoinedSamples:
     @cached_property
     def _found(self) -> tuple[FloatArray, npt.NDArray[np.uint16]]:
         """``contact``, and the doubts of it, (n,)."""
-        if self._has_contact:
-            return contact_values(self.columns, self.gauges, self._sent_status, None)
-        status = self._sent_status | self._calibrated
         values, doubts = np.full((len(self), 3), np.nan), np.zeros(len(self), dtype=np.uint16)
-        for node_id, rows in self._by_node.items():
+        if self._has_contact:
+            return sent_values(self.columns, self._sent_status), doubts
+        status = self._sent_status | np.uint16(Status.CALIBRATED if self.calibrated else 0)
+        for node_id in occurring(self.node):
+            at = np.flatnonzero(self.node == node_id)
+            step = int(at[1] - at[0]) if len(at) > 1 else 1  # even in the rows of a hand: parts of columns are views
+            rows: Any = slice(int(at[0]), int(at[-1]) + 1, step) if (np.diff(at) == step).all() else at
             columns = {name: column[rows] for name, column in self.columns.items()}
-            strain, calibration = self.gauges[rows] * 1e-6, self._calibrations.get(node_id)
+            strain, calibration = self.gauges[rows] * 1e-6, self.calibrations.get(node_id)
             values[rows], doubts[rows] = contact_values(columns, strain, status[rows], calibration)
         return values, doubts
 
     @cached_property
     def uncertainties(self) -> FloatArray:
         """(n, 3) standard uncertainty of each contact, in the same units, from gauge noise; NaN where unknown."""
-        if self._fingers:
-            of_fingers = [self._calibrations.get(node_id) for node_id in self._fingers]
-            return uncertainties(self.contact.reshape(-1, len(of_fingers), 3), of_fingers).reshape(-1, 3)
-        u = np.full((len(self), 3), np.nan)
-        for node_id, rows in self._by_node.items():
-            u[rows] = uncertainties(self.contact[rows, np.newaxis], [self._calibrations.get(node_id)])[:, 0]
-        return u
-
-    @cached_property
-    def _by_node(self) -> Mapping[int, Any]:
-        if self._fingers:
-            return {node_id: slice(k, None, len(self._fingers)) for k, node_id in enumerate(self._fingers)}
-        nodes = occurring(self.node)
-        return {n: np.flatnonzero(self.node == n) if len(nodes) > 1 else slice(None) for n in nodes}
+        return uncertainties(self.contact, self.node, self.calibrations)
 
     def contacts(self, names: Mapping[int, str] | None = None) -> Iterator[Contact]:
         """Yield the samples one by one; ``names``: of the fingers, by node-id."""
-        columns = (self.t_ns, self.node, self.counter, self.reason, self.status)
+        reasons_of = np.broadcast_to(self.reason, len(self))
+        columns = (self.t_ns, self.node, self.counter, reasons_of, self.status)
         heads = zip(*(column.tolist() for column in columns), strict=True)
         rest = zip(self.contact.tolist(), self.uncertainties.tolist(), self.gauges.tolist(), strict=True)
         for (t_ns, node_id, counter, reason, status), (contact, u, gauges) in zip(heads, rest, strict=True):
@@ -224,7 +211,7 @@ class Rows:
         return JoinedSamples(
             np.repeat(self.sync_ns, len(node_ids)), np.tile(np.array(node_ids, dtype=np.uint8), len(self)),
             self.counter.ravel(), {name: column.ravel() for name, column in self.columns.items()},
-            self.reason.ravel(), gauges, dict(zip(node_ids, calibrations, strict=True)), node_ids, calibrated,
+            dict(zip(node_ids, calibrations, strict=True)), gauges, self.reason.ravel(), calibrated,
         )  # fmt: skip
 
     def block(

@@ -188,17 +188,13 @@ def test_a_boot_up_ends_a_finding_and_another_serial_number_after_it_is_another_
     assert read(9) == []
 
 
-def test_responses_to_requests_that_are_not_among_the_frames_are_no_second_ones() -> None:
-    """Another master reads what this one, whose own frames are not recorded, reads again and again."""
-    frames = []
+def test_responses_to_other_and_to_repeated_requests_are_no_second_ones() -> None:
+    """Another master reads what this one, whose own frames are not recorded, reads again and again; a client repeats
+    its request and gets late responses."""
+    response, frames = bytes((0x43, 0x18, 0x10, 4, 7, 0, 0, 0)), list[Frame]()
     for k in range(100):
-        response = (10_000_000 * k, 0x585, bytes((0x43, 0x18, 0x10, 4, 7, 0, 0, 0)))
-        frames += [(10_000_000 * k, 0x605, READ_SERIAL), response] if k % 10 == 0 else [response]
+        frames += [(10_000_000 * k, 0x605, READ_SERIAL)] * (k % 10 == 0) + [(10_000_000 * k, 0x585, response)]
     assert heard(*frames) == []
-
-
-def test_a_client_that_repeats_its_request_gets_late_responses() -> None:
-    response = bytes((0x43, 0x18, 0x10, 4, 7, 0, 0, 0))
     for repeats in range(1, 12):
         frames = [(0, 0x605, READ_SERIAL)] * repeats + [(0, 0x585, response)] * repeats
         assert heard(*frames * 20) == []

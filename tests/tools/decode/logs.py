@@ -19,14 +19,9 @@ START_US = 1_700_000_000_000_000
 
 
 def log_lines(
-    samples: int = 300,
-    nodes: tuple[int, ...] = (1, 5),
-    *,
-    seed: int = 1,
-    loss: float = 0.02,
-    health: int = 0,
+    samples: int = 300, nodes: tuple[int, ...] = (1, 5), *, seed: int = 1, loss: float = 0.02, health: int = 0,
     bus: str = "vcan0",
-) -> list[str]:
+) -> list[str]:  # fmt: skip
     """Lines of candump -L: gauges and contact of each node at 1 kHz, some frames lost, some values unknown."""
     random = np.random.default_rng(seed)
     lines = []

@@ -161,6 +161,7 @@ select * from 'http://127.0.0.1:9/x.parquet'
 select * from 's3://bucket/x.parquet'
 select getenv('HOME')
 select * from args
+select 1 from nothing
 copy samples to 'OUTSIDE/new.csv'
 copy (select 1) to 'FILE' (format parquet, use_tmp_file false)
 explain analyze copy (select 1) to 'FILE' (format parquet, use_tmp_file false)

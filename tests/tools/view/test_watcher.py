@@ -249,7 +249,7 @@ def rows(columns: dict[str, np.ndarray], missing: np.ndarray | None = None) -> R
     flags = {name: np.ones(shape, dtype=bool) for name in ("contact", "calibrated")}
     reason = np.zeros(shape, dtype=np.uint8) if missing is None else missing.astype(np.uint8)
     t_ns = np.arange(shape[0], dtype=np.int64)
-    made = Rows(0, [], range(1, 1 + shape[1]), ())
+    made = Rows(0, [(0, 0, (), (), ())] * shape[0], range(1, 1 + shape[1]), ())
     vars(made).update(sync_ns=t_ns, counter=np.where(reason, -1, 0), reason=reason, columns=flags | columns)
     return made
 

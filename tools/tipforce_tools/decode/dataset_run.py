@@ -16,26 +16,16 @@ import tipforce
 from canopen_device.visible_text import visible
 from tipforce.errors import InputError
 from tipforce.host.dataset import manifest as manifests
-from tipforce.host.dataset.manifest import (
-    Change,
-    DataFile,
-    Manifest,
-    Part,
-    Source,
-    commit,
-    files_of,
-    read_manifest,
-    run_lock,
-)
+from tipforce.host.dataset.manifest import Change, DataFile, Manifest, Part, Source, commit, files_of, read_manifest
 from tipforce.host.dataset.reader import need_pyarrow
 from tipforce.host.dataset.store import FOLDER, Store, url_of
 from tipforce.host.decoding.log_part import Piece, Reading
 from tipforce.host.decoding.recording import Recording, State
-from tipforce.host.decoding.sample_table import Column
 from tipforce.host.logs.lines import decompressed, open_file
 from tipforce.host.logs.reader import log_kind
-from tipforce_tools.decode.workers import Done, InOrder, Sink, Workers, Written
-from tipforce_tools.writing.dataset_files import BASE, DatasetSink, events_file, joined_parts
+from tipforce_tools.decode.workers import Done, InOrder, Sink, Workers
+from tipforce_tools.writing.dataset_files import DatasetSink, events_file, joined_parts
+from tipforce_tools.writing.text_rows import BASE
 from tipforce_tools.writing.writers import Shape
 
 HASHED_BYTES = 1 << 16
@@ -130,16 +120,15 @@ class DatasetRun:
         self._change = Change()
         self._committed, self._cost_s = time.monotonic(), 0.0
         self._parts = 0
-        self._new: list[str] = []  # hashes of the heads of new logs
-        self._begins: dict[str, str] = {}
+        self._new: list[Source] = []  # of this run
         self.added = 0
         """Parts of this run."""
         self._recording = recording
 
-    def add(self, names: Sequence[str]) -> Generator[Written]:
+    def add(self, names: Sequence[str]) -> Generator[Done]:
         """Add what the dataset does not have, and what was removed from it; yield each part before it is committed.
         Raises InputError, WriteError, OSError; what was committed stays. What ends the iteration ends the run."""
-        with run_lock(self.store, self._token):
+        with manifests.run_lock(self.store, self._token):
             self.manifest = read_manifest(self.store) or _new(self.store)
             manifests.remove_replaced(self.store, self.manifest)
             names = [name for name in names if os.path.getsize(name)] or names[:1]  # empty logs do not differ
@@ -206,19 +195,19 @@ class DatasetRun:
         head = min(os.path.getsize(name), HASHED_BYTES)
         # The same for two writers, so that one of them learns of the other.
         digest, begin = hash_of(name, 0, head), begin_hash(name)
-        known = {source.begin_sha256: source.name for source in self.manifest.sources} | self._begins
+        sources = *self.manifest.sources, *self._new
+        known = {source.begin_sha256: source.name for source in sources}
         if begin in known:
             raise InputError(
                 f"{name}: begins like {known[begin]}: it is a copy, or one was changed, packed or shortened; leave one "
                 "out, or decode into another directory"
             )
-        self._begins[begin] = str(name)
-        self._new.append(digest)
-        same = sum(one.head_sha256 == digest for one in self.manifest.sources) + self._new.count(digest) - 1
-        return Source(
+        same = sum(source.head_sha256 == digest for source in sources)
+        self._new.append(Source(
             f"{digest[:12]}{same or ''}", str(name), head, digest, 0, "", self._options, tipforce.__version__,
             before.id if before else None, False, 0, None, Recording(self._reading).state(), begin,
-        )  # fmt: skip
+        ))  # fmt: skip
+        return self._new[-1]
 
     def _grown(self, source: Source, name: str) -> _Chain:
         if (follower := self._follower(source)) is not None:
@@ -233,7 +222,7 @@ class DatasetRun:
     def _follower(self, source: Source) -> Source | None:
         return next((one for one in self.manifest.sources if one.after == source.id), None)
 
-    def _add_chain(self, chain: _Chain) -> Iterator[Written]:
+    def _add_chain(self, chain: _Chain) -> Iterator[Done]:
         sink = DatasetSink(self.store.name, self._token, self._hand)
         pieces: list[Piece] = []
         logs: list[_Log] = []
@@ -258,14 +247,13 @@ class DatasetRun:
             state = done.state
             if last:
                 self._recording.append(recording)
-            yield done.written
+            yield done
             due = time.monotonic() - self._committed > max(_COMMIT_S, _COMMIT_SHARE * self._cost_s)
             if last or (due and recording.tally.messages):  # what is not a log of fingertips is not committed
                 self._commit()
 
     def _take(self, done: Done, log: _Log, name: str, before: State, last: bool) -> None:
-        written, state, notes, events = done
-        piece = written.piece
+        piece, written, state, notes, events = done
         end = log.size if piece.end is None else piece.end
         log.source = msgspec.structs.replace(
             log.source, name=visible(url_of(piece.name)), size=end, tail_sha256=tail_hash(piece.name, end),
@@ -279,8 +267,7 @@ class DatasetRun:
             [(event.channel, event.node_id, event.code, event.t_ns) for event in events if event.kind == "calibration"],
         ))  # fmt: skip
         known = {column.name for column in self._change.columns}
-        columns = (column for column in written.shape.columns if isinstance(column, Column))
-        self._change.columns += [column for column in columns if column.name not in known]
+        self._change.columns += [column for column in written.shape.columns if column.name not in known]
         self.added += 1
 
     def _commit(self) -> None:

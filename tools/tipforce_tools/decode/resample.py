@@ -12,16 +12,7 @@ import numpy.typing as npt
 from tipforce.arrays import FloatArray, IntArray
 from tipforce.errors import InputError
 from tipforce.host.decoding.pdo_layout import Layouts
-from tipforce.host.decoding.sample_table import (
-    NO_COUNTER,
-    Column,
-    Table,
-    Values,
-    counted,
-    in_order,
-    is_missing,
-    node_of,
-)
+from tipforce.host.decoding.sample_table import NO_COUNTER, Column, Table, counted, in_order, is_missing, node_of
 from tipforce_tools.cli import log_choice
 
 COUNT = "count"
@@ -126,7 +117,7 @@ class Resampler:
             )
 
     def _table(self, groups: _Groups) -> Table:
-        values: dict[str, Values] = {COUNT: groups.samples}
+        values: dict[str, npt.NDArray[Any]] = {COUNT: groups.samples}
         columns, sums = [counted(COUNT)], dict(zip(self._columns, np.moveaxis(groups.sums, 1, 0), strict=True))
         for column in in_order(self._columns.values(), self._asked):
             digits = None if column.digits is None else column.digits + _MORE_DIGITS
@@ -151,7 +142,7 @@ def _summed(groups: _Groups) -> _Groups:
     return _Groups(key[starts], interval[starts], count, sums)
 
 
-def _contributions(column: Column, values: Values) -> FloatArray:
+def _contributions(column: Column, values: npt.NDArray[Any]) -> FloatArray:
     """Return (k, 3): 1 for a value, the value (of angles the sine), of angles the cosine; zeros for missing values."""
     valid = ~is_missing(column, values)
     if column.kind == "real":
@@ -167,7 +158,7 @@ def _circular(column: Column) -> bool:
     return column.kind == "real" and column.angle and not column.signal.startswith("u_")
 
 
-def _mean(column: Column, sums: FloatArray) -> Values:
+def _mean(column: Column, sums: FloatArray) -> FloatArray:
     count = sums[:, 0]
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(count > 0, sums[:, 1] / count, np.nan)

@@ -166,10 +166,10 @@ class _Run:
             assert file is not None
             with JoinedFile(file, self._kind, shape) as output:
                 workers = _workers(self._args, self._reading, output, len(pieces))
-                for written, *_ in InOrder(pieces, self.recording, shape, workers):
+                for piece, written, *_ in InOrder(pieces, self.recording, shape, workers):
                     self.summary.append(written.summary)
                     output.add(written.record, written.shape)
-                    advance(_size(written.piece))
+                    advance(_size(piece))
 
     @contextmanager
     def _output(self, inputs: Sequence[str]) -> Iterator[NewFile | None]:
@@ -204,9 +204,9 @@ class _Run:
         try:
             while True:
                 with closing(run.add(names)) as parts:
-                    for written in parts:
+                    for piece, written, *_ in parts:
                         self.summary.append(written.summary)
-                        advance(_size(written.piece))
+                        advance(_size(piece))
                         _check_readable(args, self.recording)
                 if not args.follow:
                     break

@@ -18,9 +18,8 @@ from tipforce.host.decoding.services import BusEvent
 from tipforce.output_file import Kind, write_file
 from tipforce.samples.reasons import CAUSES
 from tipforce_tools.cli.common import shown_id
-from tipforce_tools.writing.text_rows import event_rows
+from tipforce_tools.writing.text_rows import EVENT_COLUMNS, event_rows
 
-EVENT_COLUMNS = ("t_s", "channel", "node", "event", "code", "text")
 _EVENTS_KIND = Kind("a file of events of `tipforce decode`", rb"\A" + ",".join(EVENT_COLUMNS).encode() + rb"\n")
 NO_FRAME, UNKNOWN = "no_frame", "unknown"
 _EVENTS = {"emcy_reset": "EMCY no error", "boot_up": "boot-up", "state": "NMT state", "calibration": "calibration"}

@@ -35,10 +35,8 @@ class Sink(Protocol):
 
 @dataclass(slots=True)
 class Written:
-    """What was written of a part. ``shape``: its columns, and those of the parts in front."""
+    """What was written of a part: the sink's record. ``shape``: its columns, and those of the parts in front."""
 
-    number: int
-    piece: Piece
     record: Any
     shape: Shape
     summary: Summary
@@ -47,6 +45,7 @@ class Written:
 class Done(NamedTuple):
     """A part in its order: what was written of it, and what the recording is and tells after it."""
 
+    piece: Piece
     written: Written
     state: State
     notes: LogNotes
@@ -81,7 +80,7 @@ class Work:
     """What a worker does with one part, in whatever process. An error that a user can cause is returned."""
 
     def __init__(self, number: int, piece: Piece, reading: Reading) -> None:
-        self._number, self._piece, self._reading = number, piece, reading
+        self._number, self._reading = number, reading
         self._part = _attempt(lambda: DecodedPart(piece, reading))
 
     def follow(self, before: State, last: bool) -> Passed | Exception:
@@ -99,7 +98,7 @@ class Work:
         assert isinstance(part, DecodedPart)
         for columns in passed.columns:
             shape.take(*columns)
-        write = partial(_written, self._number, self._piece, self._reading, sink, shape)
+        write = partial(_written, self._number, self._reading, sink, shape)
         return _attempt(lambda: write(part.rows(before, last=last)))
 
 
@@ -110,11 +109,9 @@ def _attempt(act: Callable[[], T]) -> T | Exception:
         return error
 
 
-def _written(
-    number: int, piece: Piece, reading: Reading, sink: Sink, shape: Shape, tables: Iterable[Table]
-) -> Written:  # fmt: skip
+def _written(number: int, reading: Reading, sink: Sink, shape: Shape, tables: Iterable[Table]) -> Written:
     summary = Summary(reading.reasons)
-    return Written(number, piece, sink.write(number, summary.passing(tables), shape), shape, summary)
+    return Written(sink.write(number, summary.passing(tables), shape), shape, summary)
 
 
 class Here(Workers):
@@ -135,7 +132,7 @@ class Here(Workers):
 
     def write(self, number: int, before: State, shape: Shape, last: bool) -> None:
         assert self._piece is not None
-        take = partial(_written, number, self._piece, self._reading, self._sink, shape)
+        take = partial(_written, number, self._reading, self._sink, shape)
         passed, written = decode_after(before, self._piece, self._reading, last, take)
         self._events += [(number, passed), (number, written)]
         self._piece = None
@@ -173,9 +170,9 @@ class InOrder:
                     self._ordered += 1
                 self._take(self._workers.next())
                 while self._given in self._written and self._given < self._passed:
-                    done = Done(self._written.pop(self._given), *self._left.pop(self._given))
+                    number = self._given
                     self._given += 1
-                    yield done
+                    yield Done(self._pieces[number], self._written.pop(number), *self._left.pop(number))
         finally:
             self._workers.close()
 

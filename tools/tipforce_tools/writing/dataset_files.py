@@ -23,14 +23,13 @@ from tipforce.host.dataset.manifest import Change, DataFile, Manifest, Part, com
 from tipforce.host.dataset.reader import damage_named
 from tipforce.host.dataset.store import FOLDER, Store
 from tipforce.host.decoding.sample_table import Table, place_of
-from tipforce_tools.writing.text_rows import CHANNEL, COUNTER, NODE, TIME
+from tipforce_tools.writing.text_rows import BASE, NODE
 from tipforce_tools.writing.writers import Shape
 
 if TYPE_CHECKING:
     from tipforce.host.decoding.services import BusEvent
     from tipforce_tools.writing.parquet import Parts
 
-BASE = (TIME, CHANNEL, NODE, COUNTER)
 _DAY_NS = 86_400 * 10**9
 
 
@@ -45,18 +44,14 @@ class DatasetSink:
 
     def write(self, number: int, tables: Iterable[Table], shape: Shape) -> list[DataFile]:
         """Write the rows of a part, ``shape`` grows by their columns; each file appears when it is complete."""
-        store = Store(self._directory)
-        with store.scratch(f"{FOLDER}/{self._token}") as scratch:
-            return self._files(store, scratch, self.names[number], tables, shape)
-
-    def _files(self, store: Store, scratch: Path, name: str, tables: Iterable[Table], shape: Shape) -> list[DataFile]:
+        store, name = Store(self._directory), self.names[number]
         parts: dict[str, Parts] = {}  # by path in the dataset, as the files
         files: dict[str, DataFile] = {}
-        with ExitStack() as stack:
+        with store.scratch(f"{FOLDER}/{self._token}") as scratch, ExitStack() as stack:
             for table in tables:
                 from tipforce_tools.writing.parquet import Parts, arrow_table  # not before there are rows
 
-                shape.fits(table)
+                shape.take(table.columns, table.channels)
                 order, cuts = _partitions(table)
                 ordered = replace(table, t_ns=table.t_ns // 1000 * 1000).take(order)  # as the file has it
                 rows = arrow_table(ordered, rows_schema(shape))
@@ -79,7 +74,7 @@ def rows_schema(shape: Shape) -> Any:
     from tipforce_tools.writing.parquet import schema_of
 
     schema = schema_of(shape)
-    return schema.remove(schema.get_field_index(NODE))
+    return schema.remove(schema.get_field_index(NODE.name))
 
 
 def put_file(store: Store, place: Path, file: DataFile) -> DataFile:

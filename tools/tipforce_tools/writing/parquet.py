@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tipforce.host.decoding.sample_table import NO_COUNTER, Column, Table, is_missing
-from tipforce_tools.writing.text_rows import CHANNEL, COUNTER, NODE, TIME, event_rows
+from tipforce_tools.writing.text_rows import BASE, CHANNEL, COUNTER, EVENT_COLUMNS, NODE, TIME, event_rows
 
 if TYPE_CHECKING:
     from tipforce.host.decoding.services import BusEvent
@@ -22,44 +22,45 @@ if TYPE_CHECKING:
 ROW_GROUP_ROWS = 1 << 18
 _MOST_VALUES = 1 << 14
 """Different values of a column in a row group that are worth a dictionary."""
-_TYPES = {"real": pa.float64(), "flag": pa.bool_(), "integer": pa.int64()}
-_TIME_TYPE = pa.timestamp("us", tz="UTC")  # a bit on the bus takes a microsecond; Spark has no finer time
-_BASE = {TIME: _TIME_TYPE, NODE: pa.uint8(), CHANNEL: pa.string(), COUNTER: pa.int64()}
-EVENTS = pa.schema([
-    (TIME, _TIME_TYPE), (CHANNEL, pa.string()), (NODE, pa.uint8()),
-    ("event", pa.string()), ("code", pa.string()), ("text", pa.string()),
-])  # fmt: skip
+_TYPES = {
+    "real": pa.float64(), "flag": pa.bool_(), "integer": pa.int64(),
+    TIME.kind: pa.timestamp("us", tz="UTC"),  # a bit on the bus takes a microsecond; Spark has no finer time
+    CHANNEL.kind: pa.string(), NODE.kind: pa.uint8(), COUNTER.kind: pa.int64(),
+}  # fmt: skip
+_EVENT_TYPES = *(_TYPES[column.kind] for column in (TIME, CHANNEL, NODE)), pa.string(), pa.string(), pa.string()
+EVENTS = pa.schema(zip(EVENT_COLUMNS, _EVENT_TYPES, strict=True))
 
 
 def schema_of(shape: Shape) -> pa.Schema:
     """Return the schema of an output, with units as metadata of the fields."""
-    fields = []
-    for column in (*shape.base, *shape.columns):
-        if isinstance(column, str):
-            fields.append(pa.field(column, _BASE[column]))
-        else:
-            unit = {"unit": column.unit} if column.unit else None
-            fields.append(pa.field(column.name, _TYPES[column.kind], metadata=unit))
-    return pa.schema(fields)
+    return pa.schema(
+        pa.field(column.name, _TYPES[column.kind], metadata={"unit": column.unit} if column.unit else None)
+        for column in (*shape.base, *shape.columns)
+    )
 
 
 def arrow_table(table: Table, schema: pa.Schema) -> pa.Table:
     """Return the rows with the columns of ``schema``; missing values are null."""
-    columns = {column.name: column for column in table.columns}
-    arrays = []
-    for field in schema:
-        column = columns.get(field.name)
-        if column is not None:
-            arrays.append(_array(column, table.values[column.name], field.type))
-        elif field.name in _BASE:
-            arrays.append(_base_array(field.name, table))
-        else:
-            arrays.append(pa.nulls(len(table), field.type))
+    columns = {column.name: column for column in (*BASE, *table.columns)}
+    arrays = [
+        _array(columns[field.name], table, field.type) if field.name in columns else pa.nulls(len(table), field.type)
+        for field in schema
+    ]
     return pa.Table.from_arrays(arrays, schema=schema)
 
 
-def _array(column: Column, values: Any, kind: Any) -> Any:
-    missing = is_missing(column, values)
+def _array(column: Column, table: Table, kind: Any) -> Any:
+    if column == TIME:
+        return _as_array(table.t_ns // 1000, kind) if table.timed else pa.nulls(len(table), kind)
+    if column == NODE:
+        return _as_array(table.node, kind)
+    if column == CHANNEL and len(table.channels) == 1:
+        return pa.repeat(pa.scalar(table.channels[0], kind), len(table))
+    if column == CHANNEL:
+        indices = _as_array(table.channel, pa.int32())
+        return pa.DictionaryArray.from_arrays(indices, pa.array(table.channels)).cast(kind)
+    values = table.counter if column == COUNTER else table.values[column.name]
+    missing = values == NO_COUNTER if column == COUNTER else is_missing(column, values)
     mask = missing if missing.any() else None
     if column.kind == "flag":
         present = None if mask is None else _bits(~mask)
@@ -78,20 +79,6 @@ def _as_array(values: Any, kind: Any, mask: Any = None) -> Any:
 
 def _bits(values: Any) -> Any:
     return pa.py_buffer(np.packbits(values, bitorder="little"))
-
-
-def _base_array(name: str, table: Table) -> Any:
-    if name == TIME:
-        return _as_array(table.t_ns // 1000, _BASE[TIME]) if table.timed else pa.nulls(len(table), _BASE[TIME])
-    if name == NODE:
-        return _as_array(table.node, _BASE[NODE])
-    if name == CHANNEL and len(table.channels) == 1:
-        return pa.repeat(pa.scalar(table.channels[0], pa.string()), len(table))
-    if name == CHANNEL:
-        indices = _as_array(table.channel, pa.int32())
-        return pa.DictionaryArray.from_arrays(indices, pa.array(table.channels)).cast(pa.string())
-    missing = table.counter == NO_COUNTER
-    return _as_array(table.counter, _BASE[COUNTER], missing if missing.any() else None)
 
 
 def events_table(events: Sequence[BusEvent]) -> pa.Table:
@@ -189,15 +176,15 @@ def _open(path: Path, schema: Any) -> Any:
     return pq.ParquetWriter(
         path, schema, compression={name: "none" if name in real else "snappy" for name in names},
         data_page_size=1 << 20, dictionary_pagesize_limit=_MOST_VALUES * 8,
-        use_dictionary=[*(name for name in (CHANNEL, NODE) if name in names), *real],
+        use_dictionary=[*(column.name for column in (CHANNEL, NODE) if column.name in names), *real],
         # Increasing values are smaller as differences, and faster to write.
-        column_encoding={name: "DELTA_BINARY_PACKED" for name in (TIME, COUNTER) if name in names},
+        column_encoding={of.name: "DELTA_BINARY_PACKED" for of in (TIME, COUNTER) if of.name in names},
     )  # fmt: skip
 
 
 def widened(rows: Any, schema: Any, channel: str) -> Any:
     """Return rows with the columns of ``schema``, null where they have none; ``channel`` for rows without one."""
-    if CHANNEL in schema.names and CHANNEL not in rows.schema.names:
-        rows = rows.append_column(CHANNEL, pa.repeat(pa.scalar(channel, pa.string()), len(rows)))
+    if CHANNEL.name in schema.names and CHANNEL.name not in rows.schema.names:
+        rows = rows.append_column(CHANNEL.name, pa.repeat(pa.scalar(channel, pa.string()), len(rows)))
     # A file may have a column that a damaged manifest does not name.
     return pa.concat_tables([schema.empty_table(), rows], promote_options="default").select(schema.names)

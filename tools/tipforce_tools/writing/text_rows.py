@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.host.decoding.sample_table import NO_COUNTER, NO_FLAG, Column, Table, Values, is_missing
+from tipforce.host.decoding.sample_table import NO_COUNTER, Column, Table, Values, is_missing
 from tipforce.host.decoding.services import BusEvent
 from tipforce.samples import reasons
 
@@ -85,21 +85,6 @@ def time_cells(t_ns: npt.NDArray[np.int64]) -> Cells:
     return whole_cells(t_ns // 10 ** (9 - digits), digits)
 
 
-def column_cells(column: Column, values: Values) -> Cells:
-    """Format the values of a column; flags as 0 and 1, no characters for missing values."""
-    if column.kind == "real":
-        return real_cells(values, column.digits)
-    if column.kind == "flag":
-        return np.where(values == NO_FLAG, 0, values + ord("0")).astype(np.uint8)[:, np.newaxis]
-    return _known_cells(values, is_missing(column, values))
-
-
-def _known_cells(values: Values, missing: npt.NDArray[np.bool_]) -> Cells:
-    cells = whole_cells(np.where(missing, 0, values).astype(np.int64))
-    cells[missing] = 0
-    return cells
-
-
 def word_cells(values: Values) -> Cells:
     """Byte strings."""
     width = max(values.dtype.itemsize, 1)
@@ -142,7 +127,12 @@ def rows_text(parts: Sequence[bytes | Cells], rows: int) -> bytes:
     return matrix.tobytes().replace(b"\0", b"")
 
 
-TIME, CHANNEL, NODE, COUNTER = "t_s", "channel", "node", "counter"
+TIME, CHANNEL, NODE, COUNTER = BASE = tuple(
+    Column(name, name, name, 0, "", 0) for name in ("t_s", "channel", "node", "counter")
+)
+"""The columns that every table has, each of its own kind."""
+EVENT_COLUMNS = (TIME.name, CHANNEL.name, NODE.name, "event", "code", "text")
+"""Names of those of ``event_rows``."""
 _UNITS = {"degree": "deg"}
 _CHUNK_ROWS = 32_768
 
@@ -160,77 +150,72 @@ def channel_names(table: Table, quoted: bool = False) -> Cells:
     return word_cells(np.array([name.encode() for name in names])[table.channel])
 
 
-def base_cells(table: Table, name: str) -> tuple[Cells, npt.NDArray[np.bool_]]:
-    """Return (cells, mask of missing values) of one of the columns that every table has."""
+def column_cells(column: Column, table: Table) -> tuple[Cells, npt.NDArray[np.bool_]]:
+    """Return (cells, mask of missing values) of a column; flags as 0 and 1, no characters for missing values."""
     nothing = np.zeros(len(table), dtype=np.bool_)
-    if name == TIME:
+    if column == TIME:
         return (time_cells(table.t_ns), nothing) if table.timed else (np.zeros((len(table), 1), np.uint8), ~nothing)
-    if name == NODE:
+    if column == NODE:
         return whole_cells(table.node.astype(np.int64)), nothing
-    if name == CHANNEL:
+    if column == CHANNEL:
         return channel_names(table), nothing
-    missing = table.counter == NO_COUNTER
-    return _known_cells(table.counter, missing), missing
+    values = table.counter if column == COUNTER else table.values[column.name]
+    missing = values == NO_COUNTER if column == COUNTER else is_missing(column, values)
+    if column.kind == "real":
+        return real_cells(values, column.digits), missing
+    if column.kind == "flag":
+        return np.where(missing, 0, values + ord("0")).astype(np.uint8)[:, np.newaxis], missing
+    cells = whole_cells(np.where(missing, 0, values).astype(np.int64))
+    cells[missing] = 0
+    return cells, missing
 
 
-def name_of(column: Column | str) -> str:
-    """Return the name of a column; one that every table has is its name."""
-    return column if isinstance(column, str) else column.name
-
-
-def csv_header(columns: Sequence[Column | str]) -> bytes:
+def csv_header(columns: Sequence[Column]) -> bytes:
     """Return the header line."""
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerow(map(name_of, columns))
+    csv.writer(text, lineterminator="\n").writerow(column.name for column in columns)
     return text.getvalue().encode()
 
 
-def csv_rows(table: Table, columns: Sequence[Column | str]) -> bytes:
+def csv_rows(table: Table, columns: Sequence[Column]) -> bytes:
     """Format lines with these columns; those that the table lacks are empty."""
 
     def cells(piece: Table) -> Iterator[bytes | Cells]:
         for number, column in enumerate(columns):
             if number:
                 yield b","
-            if isinstance(column, str):
-                yield base_cells(piece, column)[0]
-            elif column.name in piece.values:
-                yield column_cells(column, piece.values[column.name])
+            if column in BASE or column.name in piece.values:
+                yield column_cells(column, piece)[0]
         yield b"\n"
 
     return _text(table, cells)
 
 
-def json_rows(table: Table, base: Sequence[str]) -> bytes:
+def json_rows(table: Table, base: Sequence[Column]) -> bytes:
     """Format JSON lines: null for missing values; keys that no row of the table has are left out."""
 
     def cells(piece: Table) -> Iterator[bytes | Cells]:
-        for number, name in enumerate(base):
-            yield f'{", " if number else "{"}"{name}": '.encode()
-            if name == CHANNEL:
+        for number, column in enumerate((*base, *piece.columns)):
+            yield f"{', ' if number else '{'}{json.dumps(column.name)}: ".encode()
+            if column == CHANNEL:
                 yield from (b'"', channel_names(piece, quoted=True), b'"')
             else:
-                found, missing = base_cells(piece, name)
-                yield instead(found, missing, b"null")
-        for column in piece.columns:
-            yield f", {json.dumps(column.name)}: ".encode()
-            yield _json_cells(column, piece)
+                yield _json_cells(column, piece)
         yield b"}\n"
 
     return _text(table, cells)
 
 
 def _json_cells(column: Column, table: Table) -> Cells:
-    values = table.values[column.name]
-    missing = is_missing(column, values)
+    cells, missing = column_cells(column, table)
     if column.kind == "flag":
-        return instead(chosen(values == 1, b"true", b"false"), missing, b"null")
-    if column.kind == "real":
-        missing = ~np.isfinite(values)
-    return instead(column_cells(column, values), missing, b"null")
+        cells = chosen(table.values[column.name] == 1, b"true", b"false")
+    elif column.kind == "real":
+        missing = ~np.isfinite(table.values[column.name])
+    return instead(cells, missing, b"null")
 
 
-def people_rows(table: Table, base: Sequence[str]) -> bytes:
+def people_rows(table: Table, base: Sequence[Column]) -> bytes:
     """Format one line per sample, in columns: time, node, values with units, counter, status words."""
 
     def cells(piece: Table) -> Iterator[bytes | Cells]:
@@ -246,7 +231,7 @@ def people_rows(table: Table, base: Sequence[str]) -> bytes:
             if column.kind != "flag":
                 yield from (f"  {column.signal} ".encode(), _people_cells(column, piece), _unit(column, piece))
         if COUNTER in base:
-            counter, without = base_cells(piece, COUNTER)
+            counter, without = column_cells(COUNTER, piece)
             counter = np.pad(counter, ((0, 0), (1, 0)), constant_values=ord("#"))
             yield from (b"  ", instead(counter, without, b"-"), b" ")
         said = np.zeros(len(piece), dtype=np.bool_)
@@ -268,8 +253,8 @@ def _unit(column: Column, table: Table) -> bytes | Cells:
 
 
 def _people_cells(column: Column, table: Table) -> Cells:
-    values, is_real, absent = table.values[column.name], column.kind == "real", table.absent.get(column.name)
-    cells = instead(column_cells(column, values), is_missing(column, values), b"unknown" if is_real else b"-")
+    is_real, absent = column.kind == "real", table.absent.get(column.name)
+    cells = instead(*column_cells(column, table), b"unknown" if is_real else b"-")
     return right(cells if absent is None else instead(cells, absent, b"-"), 7 if is_real else 3)
 
 

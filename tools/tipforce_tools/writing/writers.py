@@ -57,23 +57,19 @@ def check_format(output: str | None, kind: str) -> None:
 class Shape:
     """The columns of an output so far. New ones are appended and empty in earlier rows."""
 
-    def __init__(self, base: tuple[str, ...]) -> None:
+    def __init__(self, base: tuple[Column, ...]) -> None:
         self.base = base
-        self.columns: tuple[Column | str, ...] = ()
+        self.columns: tuple[Column, ...] = ()
         """After ``base``; CHANNEL among them where a second interface came late."""
         self.channel = ""
         """Of the rows before it."""
         self._begun = False
 
-    def fits(self, table: Table) -> bool:
-        """Add the columns of a table as ``take`` does."""
-        return self.take(table.columns, table.channels)
-
     def take(self, columns: Iterable[Column], channels: Sequence[str]) -> bool:
         """Add columns of a table with these channels; return False if there are new ones after the first table."""
-        known = set(map(text_rows.name_of, self.columns))
+        known = {column.name for column in self.columns}
         new = tuple(column for column in columns if column.name not in known)
-        several = len(channels) > 1 and CHANNEL not in self.base and CHANNEL not in known
+        several = len(channels) > 1 and CHANNEL not in self.base and CHANNEL.name not in known
         begun, self._begun = self._begun, True
         self.columns += new
         if several and not begun:
@@ -84,7 +80,7 @@ class Shape:
         return not begun or not (new or several)
 
 
-def lines_of(table: Table, kind: str, base: tuple[str, ...], columns: tuple[Column | str, ...]) -> bytes:
+def lines_of(table: Table, kind: str, base: tuple[Column, ...], columns: tuple[Column, ...]) -> bytes:
     """Format CSV with these columns, or JSON lines or text, with the channel where there are several."""
     if kind == "csv":
         return text_rows.csv_rows(table, (*base, *columns))
@@ -98,21 +94,21 @@ def lines_of(table: Table, kind: str, base: tuple[str, ...], columns: tuple[Colu
 class StreamWriter:
     """Text, CSV or JSON lines in a stream, each table at once."""
 
-    def __init__(self, stream: BinaryIO, kind: str, base: tuple[str, ...]) -> None:
+    def __init__(self, stream: BinaryIO, kind: str, base: tuple[Column, ...]) -> None:
         self._stream, self._kind, self._shape = stream, kind, Shape(base)
-        self._shown: tuple[Column | str, ...] | None = None
+        self._shown: tuple[Column, ...] | None = None
         self.left_out: set[str] = set()
 
     def write(self, table: Table) -> None:
         """Append the rows of a table. CSV keeps its first columns: ``left_out`` names the others. Raises OSError."""
         shape, is_csv = self._shape, self._kind == "csv"
-        shape.fits(table)
+        shape.take(table.columns, table.channels)
         header = text_rows.csv_header((*shape.base, *shape.columns)) if is_csv and self._shown is None else b""
         self._shown = shape.columns if self._shown is None else self._shown
         self._stream.write(header + lines_of(table, self._kind, shape.base, self._shown))
         self._stream.flush()
         if is_csv:
-            self.left_out |= {text_rows.name_of(column) for column in shape.columns if column not in self._shown}
+            self.left_out |= {column.name for column in shape.columns if column not in self._shown}
 
 
 Pieces = list[tuple[int, int]]
@@ -140,14 +136,14 @@ class JoinedFile:
 
             with parquet.Parts(self._path(number)) as parts:
                 for table in tables:
-                    shape.fits(table)
+                    shape.take(table.columns, table.channels)
                     parts.add(parquet.arrow_table(table, parquet.schema_of(shape)))
                 parts.finish(parquet.schema_of(shape), shape.channel)
             return [(0, len(shape.columns))]
         pieces: Pieces = []
         with self._path(number).open("wb") as file:
             for table in tables:
-                if (not shape.fits(table) and self._kind == "csv") or not pieces:
+                if (not shape.take(table.columns, table.channels) and self._kind == "csv") or not pieces:
                     if self._kind == "csv" and not pieces and number == 0:  # the header, if this is the whole file
                         file.write(text_rows.csv_header((*shape.base, *shape.columns)))
                     pieces.append((file.tell(), len(shape.columns)))

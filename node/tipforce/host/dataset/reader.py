@@ -62,7 +62,8 @@ def tables_of_logs(
             yield from recording.tables_of_piece(Piece(local_copy(name)), progress, tap)
             continue
         _, manifest = opened(name)
-        recording.notes.append(notes(name, manifest))
+        bad: Counter[str] = sum((Counter(part.bad) for part in manifest.parts), Counter())
+        recording.notes.append(LogNotes(source=name, frames=sum(part.frames for part in manifest.parts), bad=dict(bad)))
         recording.tally.append(tally(manifest))
         for table in tables(name, recording.reading):
             recording.numbers_of(table.channels)
@@ -77,12 +78,6 @@ def tally(manifest: Manifest) -> Tally:
         if source.id not in followed:
             total.append(Tally.of_rows(source.end.tally, source.end.short))
     return total
-
-
-def notes(name: str, manifest: Manifest) -> LogNotes:
-    """Return the counts of frames and bad lines of all parts."""
-    bad: Counter[str] = sum((Counter(part.bad) for part in manifest.parts), Counter())
-    return LogNotes(source=name, frames=sum(part.frames for part in manifest.parts), bad=dict(bad))
 
 
 def tables(name: str, reading: Reading) -> Iterator[Table]:

@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from canopen_device.core.codes import SYNC_COB_ID
 from tipforce.arrays import IntArray, occurring
-from tipforce.host.decoding.decoder import Samples, lost_samples, unwrap_counter
-from tipforce.host.decoding.sample_rule import COUNTER, SAMPLES, follows_sync, lost_between
+from tipforce.host.decoding.decoder import Samples, unwrap_counter
+from tipforce.host.decoding.sample_rule import COUNTER, SAMPLES, follows_sync, losses
 from tipforce.host.decoding.sample_table import NO_COUNTER, NODE_BITS, Table
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.samples.sync_numbers import LARGEST
@@ -42,7 +42,7 @@ class MessageCount(NamedTuple):
             return (self if other.first is None else other)._replace(frames=frames)
         lost = (self.lost or 0) + (other.lost or 0)
         if self.last_modulus == other.first_modulus:
-            lost += lost_between(self.last, other.first, self.last_modulus)
+            lost += losses((self.last, other.first), self.last_modulus)[2]
         return self._replace(frames=frames, lost=lost, last=other.last, last_modulus=other.last_modulus)
 
 
@@ -64,13 +64,9 @@ class Tally:
 
     def add_samples(self, samples: Samples, modulus: int) -> None:
         """Count the samples of a bus."""
-        first, last, lost = -1, -1, 0
-        if COUNTER in samples.columns and follows_sync(samples.message):
-            counter = samples.columns[COUNTER]
-            counter = counter if modulus == SAMPLES else counter[counter > 0]  # 0 is no SYNC's latch
-            if len(counter):
-                first, last, lost = int(counter[0]), int(counter[-1]), lost_samples(counter, modulus)
-        self.add(("", samples.node_id, samples.message.name), len(samples.row), first, last, lost, modulus)
+        counter = samples.columns.get(COUNTER, ()) if follows_sync(samples.message) else ()
+        place = "", samples.node_id, samples.message.name
+        self.add(place, len(samples.row), *losses(counter, modulus), modulus)
 
     def append(self, other: Tally) -> None:
         """Add the counts of the next part."""
@@ -78,14 +74,9 @@ class Tally:
             self.messages[place] = self.messages.get(place, MessageCount()).followed_by(count)
         self.short.update(other.short)
 
-    def rows(self) -> tuple[list[TallyRow], list[tuple[str, int, str, int]]]:
-        """Return both counts as rows."""
-        messages = [(*place, *count) for place, count in self.messages.items()]
-        return messages, [(*place, frames) for place, frames in self.short.items()]
-
     @classmethod
     def of_rows(cls, messages: Iterable[TallyRow], short: Iterable[tuple[str, int, str, int]]) -> Tally:
-        """Return the counts that ``rows`` returned."""
+        """Return the counts of rows: places and what is counted of them."""
         counts = {row[:3]: MessageCount._make(row[3:]) for row in messages}
         return cls(counts, Counter({row[:3]: row[3] for row in short}))
 

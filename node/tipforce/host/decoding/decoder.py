@@ -14,7 +14,7 @@ import numpy.typing as npt
 from canopen_device.core.codes import STANDARD_MASK
 from tipforce.dictionary.signals import Message, mapping_signals, tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.decoding.sample_rule import SAMPLES, SLOT, counter_place, follows_sync, join
+from tipforce.host.decoding.sample_rule import SAMPLES, SLOT, counter_place, follows_sync, join, losses
 from tipforce.host.decoding.sample_table import Layout, Values
 from tipforce.host.frames.frame_array import FrameArray
 
@@ -187,19 +187,16 @@ class Decoder:
         owner = self._given.get(can_id, key)
         if owner != key:
             raise InputError(f"identifier 0x{can_id:03X} of {name}: already assigned to {owner[1]} of node {owner[0]}")
-        self._messages[key] = can_id, self._layout(self._messages[key][1], tuple(mapping))
+        message, mapped = self._messages[key][1], tuple(mapping)
+        if (name, mapped) not in self._remapped:
+            length, signals = (sum(bits for _, _, bits in mapped) + 7) // 8, mapping_signals(mapped, self._n)
+            changed = replace(message, length_bytes=length, signals=signals, mapping=mapped)
+            self._remapped[name, mapped] = changed
+        self._messages[key] = can_id, self._remapped[name, mapped]
         self._given = {given: other for given, other in self._given.items() if other != key}
         if can_id:
             self._given[can_id] = key
         self._plans.clear()
-
-    def _layout(self, message: Message, mapping: tuple[tuple[int, int, int], ...]) -> Message:
-        if (message.name, mapping) not in self._remapped:
-            length = (sum(bits for _, _, bits in mapping) + 7) // 8
-            signals = mapping_signals(mapping, self._n)
-            changed = replace(message, length_bytes=length, signals=signals, mapping=mapping)
-            self._remapped[message.name, mapping] = changed
-        return self._remapped[message.name, mapping]
 
     def decode(self, frames: FrameArray, signals: Iterable[str] | None = None) -> dict[Key, Samples]:
         """Decode FRAME array (n,) to the samples of each (node-id, message name); with ``signals`` of these alone.
@@ -240,6 +237,4 @@ def unwrap_counter(counter: npt.ArrayLike, modulus: int = 256) -> npt.NDArray[np
 def lost_samples(counter: npt.ArrayLike, modulus: int = 256) -> int:
     """Return how many samples of a PDO at every SYNC are missing, by its counter (k,). ``modulus``: 256, or the largest
     SYNC number (1019h), then from 1. 255 or 256 lost in a row do not show; one out of order counts as 254."""
-    values = np.asarray(counter, dtype=np.int64)
-    steps = np.diff(values if modulus == 256 else values[values > 0]) % modulus
-    return int(np.maximum(steps - 1, 0).sum())
+    return losses(counter, modulus)[2]

@@ -2,7 +2,7 @@
 default TPDO4 is off, so EMCY is all that a bus shows of bits 12 to 15; bit 13 has none."""
 
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -51,23 +51,25 @@ def of_emcy(data: bytes) -> tuple[int, bool]:
     return (1 << bit, is_set) if 0 <= bit < 16 else (0, False)
 
 
-def packed(columns: Mapping[str, npt.NDArray[Any]]) -> IntArray | None:
-    """2124h from the columns of its bits, (k,); None where these are not all that a TPDO4 has of bits 8 to 15."""
-    if any(f"fault_{name}" not in columns for _, name, _ in dictionary.FAULT_BITS):
-        return None
-    found = [(columns[name] == 1).astype(np.int64) << bit for name, bit in NAMES.items() if name in columns]
-    return np.asarray(np.bitwise_or.reduce(found))
+def told_by(names: Collection[str]) -> int:
+    """The bits of 2124h that a message with these signals tells; 0 where it has not all of bits 8 to 15, as TPDO4."""
+    whole = all(f"fault_{name}" in names for _, name, _ in dictionary.FAULT_BITS)
+    return sum(1 << bit for name, bit in NAMES.items() if name in names) if whole else 0
+
+
+def faults_of(columns: Mapping[str, npt.NDArray[Any]], k: int, mask: int = ALL) -> IntArray:
+    """2124h (k,) from the columns of its bits, as far as they are there and in ``mask``."""
+    faults = np.zeros(k, dtype=np.int64)
+    for name, bit in NAMES.items():
+        if mask >> bit & 1 and name in columns:
+            faults |= (columns[name] == 1).astype(np.int64) << bit
+    return faults
 
 
 def lost_gauges(columns: Mapping[str, npt.NDArray[Any]], shape: tuple[int, ...]) -> IntArray:
     """Bits of the gauges that the node left out or found saturated, of samples with ``shape`` (k, n): (k,). 2124h may
     come later than the sample; what counts for a sample is its own status."""
-    bits = np.zeros(shape[0], dtype=np.int64)
-    for gauge in range(shape[1]):
-        told = columns.get(f"SG{gauge + 1}_fault")
-        if told is not None:
-            bits |= (told == 1).astype(np.int64) << gauge
-    status = columns.get("saturated")
+    bits, status = faults_of(columns, shape[0], (1 << shape[1]) - 1), columns.get("saturated")
     return bits if status is None else np.where(status == 1, bits, 0)
 
 
@@ -120,9 +122,9 @@ class Health:
         """Received frames, FRAME (n,): EMCY and boot-ups among them, and what was decoded of them."""
         told: list[tuple[int, int, int | tuple[int, bytes]]] = []  # row, node-id, 2124h or a service
         for samples in decoded:
-            if (words := packed(samples.columns)) is not None:
-                pairs = zip(samples.row.tolist(), words.tolist(), strict=True)
-                told += [(row, samples.node_id, word) for row, word in pairs]
+            if told_by(samples.columns):
+                words = faults_of(samples.columns, len(samples.row)).tolist()
+                told += [(row, samples.node_id, word) for row, word in zip(samples.row.tolist(), words, strict=True)]
         told += [(row, node, (function, data)) for row, function, node, data in heartbeats_and_emcys(frames)]
         for row, node, what in sorted(told, key=lambda of_row: of_row[0]):
             time = int(frames["t_ns"][row])
@@ -149,38 +151,33 @@ def joins(signals: Iterable[str] | None) -> bool:
     return signals is None or any(name in NAMES for name in signals)
 
 
-def with_services(signals: tuple[str, ...] | None) -> tuple[str, ...] | None:
-    """The signals to decode where these are asked for."""
-    return signals if signals is None or not joins(signals) else (*signals, EMCY, STATE)
-
-
 class HealthRows:
-    """Joins table after table. ``asked``: the signals shown (None: all). ``told``: (faults, seen) before the first."""
+    """Joins table after table. ``asked``: the signals shown (None: all). Before the first: ``told``, (faults, seen) by
+    key, and ``sampled``, the keys of the nodes with samples."""
 
-    def __init__(self, asked: tuple[str, ...] | None = None, told: Mapping[int, tuple[int, int]] | None = None) -> None:
-        self._asked = asked
-        self._health = Health(told)
+    def __init__(
+        self, asked: tuple[str, ...] | None, told: Mapping[int, tuple[int, int]] | None = None,
+        sampled: Iterable[int] = (),
+    ) -> None:  # fmt: skip
+        self._asked, self._health = asked, Health(told)
         self._rows = 0
-        self.sampled: dict[int, tuple[str, int]] = {}
+        self.sampled = dict.fromkeys(sampled)
 
     @property
     def told(self) -> dict[int, tuple[int, int]]:
         """(faults, seen) by key now."""
         return {key: self._health.now(key) for key in self._health.nodes}
 
-    @property
-    def unseen(self) -> list[tuple[str, int]]:
+    def unseen(self, channels: Sequence[str]) -> list[tuple[str, int]]:
         """Channel and node-id of the nodes with samples of which nothing told any of bits 12 to 15."""
-        seen = {key for key in self._health.nodes if self._health.now(key)[1] & reasons.JUDGED}
-        return sorted(place for key, place in self.sampled.items() if key not in seen)
+        return sorted(place_of(channels, key) for key in self.sampled if not self._health.now(key)[1] & reasons.JUDGED)
 
     def joined(self, table: Table) -> Table:
         """The table with the columns of 2124h in all rows where they are known, and without rows of other messages."""
         place = self._rows + np.arange(len(table))
         self._rows += len(table)
         service = self._take(table, place)
-        for key in occurring(table.key[~service & (table.counter != NO_COUNTER)]):
-            self.sampled[key] = place_of(table.channels, key)
+        self.sampled |= dict.fromkeys(occurring(table.key[~service & (table.counter != NO_COUNTER)]))
         if self._health.nodes:
             table = self._with_faults(table, place)
         if not service.any() and EMCY not in table.values and STATE not in table.values:
@@ -208,11 +205,10 @@ class HealthRows:
         """Take what the rows tell; return (k,) the rows of EMCY and heartbeats."""
         values, none = table.values, np.zeros(len(table), dtype=np.bool_)
         emcy, state = (values[name] != NO_INTEGER if name in values else none for name in (EMCY, STATE))
-        bits = {name: bit for name, bit in NAMES.items() if name in values}
-        told, faults = none, np.zeros(len(table), dtype=np.int64)
-        for name, bit in bits.items():
-            told, faults = told | (values[name] != NO_FLAG), faults | (values[name] == 1).astype(np.int64) << bit
-        mask = sum(1 << bit for bit in bits.values())
+        told, mask, faults = none, 0, faults_of(values, len(table))
+        for name, bit in NAMES.items():
+            if name in values:
+                told, mask = told | (values[name] != NO_FLAG), mask | 1 << bit
         for row in np.flatnonzero(emcy | state | told).tolist():
             key, time = int(table.key[row]), int(place[row])
             if emcy[row] or state[row]:

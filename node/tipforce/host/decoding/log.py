@@ -17,7 +17,7 @@ from tipforce.arrays import FloatArray, occurring
 from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.decoding.contact_columns import History, of_samples
+from tipforce.host.decoding.contact_columns import VALUES, History, of_samples
 from tipforce.host.decoding.estimator import Contacts, prepared
 from tipforce.host.decoding.log_part import Reading
 from tipforce.host.decoding.pdo_layout import Layouts
@@ -25,7 +25,7 @@ from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import NO_FLAG, NO_INTEGER, Table, missing_of, node_of
 from tipforce.host.logs.notes import no_frame
 from tipforce.samples import reasons
-from tipforce.samples.columns import contact_values, uncertainties
+from tipforce.samples.columns import sent_values, uncertainties
 from tipforce.samples.reasons import Status
 
 if TYPE_CHECKING:
@@ -74,9 +74,8 @@ class NodeLog(Contacts):
                   "counter": pa.array(self.counter, mask=self.counter < 0)}  # fmt: skip
         forces = {f"F{k + 1}_N": self.F_newtons[:, k] for k in range(3)}
         strains = {f"SG{k + 1}_ue": column for k, column in enumerate(self.microstrain.T)}
-        names = ("P_N", "phi_deg", "theta_deg", "u_P_N", "u_phi_deg", "u_theta_deg")
         others = {_ARROW_NAMES.get(name, name): values for name, values in self.columns.items()}
-        contact = dict(zip(names, self.values.T, strict=True))
+        contact = dict(zip((column.name for column in VALUES), self.values.T, strict=True))
         own_u_P = others.pop("u_P_N", None)  # of TPDO4, where no calibration gives it
         if own_u_P is not None and np.isnan(contact["u_P_N"]).all():
             contact["u_P_N"] = own_u_P
@@ -218,8 +217,9 @@ def _node_log(node_id: int, tables: list[Table], n: int, calibration: Calibratio
         for signal, c in of_signal.items()
     }
     strain, status = np.stack([columns[name] for name in gauges], axis=-1), reasons.status_of(columns, t_ns.shape)
-    contact, doubts = contact_values(columns, strain * 1e-6, status, calibration)
-    values, status = np.hstack((contact, uncertainties(contact[:, np.newaxis], [calibration])[:, 0])), status | doubts
+    contact = sent_values(columns, status, calibration is not None and calibration.pull)
+    node = np.full(len(t_ns), node_id, dtype=np.uint8)
+    values = np.hstack((contact, uncertainties(contact, node, {node_id: calibration})))
     if calibration is not None:
         rows, contacts = of_samples(prepared(calibration), columns, strain, status, History(), t_ns)
         values[rows], status[rows] = contacts.values, contacts.status

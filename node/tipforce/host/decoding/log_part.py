@@ -9,7 +9,7 @@ import numpy as np
 
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import Decoder
-from tipforce.host.decoding.health import joins, with_services
+from tipforce.host.decoding.health import EMCY, STATE, joins
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.notes import BadLine
@@ -69,7 +69,9 @@ class Reading:
     @property
     def wanted(self) -> tuple[str, ...] | None:
         """The signals to decode: those asked for, and what the faults of 2124h are joined from."""
-        return self.signals if self.layouts.dbc is not None else with_services(self.signals)
+        if self.signals is None or self.layouts.dbc is not None or not joins(self.signals):
+            return self.signals
+        return *self.signals, EMCY, STATE
 
 
 @lru_cache(1)

@@ -69,7 +69,10 @@ def node_layout(sdo: SdoChannel) -> NodeLayout:
 
 def _layout(place: str, node_id: int, number: Callable[[int, int], int | None]) -> NodeLayout:
     """Return the layout that ``number`` gives by index and sub-index."""
-    gauges = _gauges(number(communication.IDENTITY, 2) or 0, place)
+    product = number(communication.IDENTITY, 2) or 0
+    if not (gauges := gauges_of(product)):
+        ours = f"0x{table.PRODUCT:08X} + gauges"
+        raise InputError(f"{place}: product code 0x{product:08X} is not that of a tipforce node ({ours})")
     pdos = {}
     for position, message in enumerate(tpdo_messages(gauges)):
         mapping, cob_id = communication.TPDO_MAPPING + position, number(communication.TPDO + position, 1)
@@ -99,14 +102,6 @@ def dbc_messages(path: str | Path) -> dict[Key, tuple[int, Message]]:
     alike: dict[Message, Message] = {}  # one object per layout, so that nodes are decoded together
     layouts = (_dbc_message(path, message) for message in messages if message.length <= 8)
     return {key: (can_id, alike.setdefault(layout, layout)) for key, can_id, layout in layouts}
-
-
-def _gauges(product: int, place: str) -> int:
-    gauges = gauges_of(product)
-    if not gauges:
-        ours = f"0x{table.PRODUCT:08X} + gauges"
-        raise InputError(f"{place}: product code 0x{product:08X} is not that of a tipforce node ({ours})")
-    return gauges
 
 
 def _pdo(place: str, cob_id: int, words: list[int]) -> tuple[int, tuple[tuple[int, int, int], ...]]:
@@ -214,8 +209,5 @@ def signals_named(decoder: Decoder, names: Iterable[str]) -> tuple[str, ...]:
 
 def has_signal(decoder: Decoder, name: str) -> bool:
     """Return whether any message of the decoder has a signal."""
-    try:
-        decoder.plan([name])
-    except InputError:
-        return False
-    return True
+    messages = {id(message): message for _, message in decoder.messages().values()}  # one for many nodes
+    return any(signal.name == name for message in messages.values() for signal in message.signals)

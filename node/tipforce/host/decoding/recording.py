@@ -19,7 +19,7 @@ from tipforce.host.decoding.health import HealthRows, joins
 from tipforce.host.decoding.log_part import Piece, Progress, Reading, Source, StrictError
 from tipforce.host.decoding.sample_merger import OpenRows, SampleMerger, renumbered
 from tipforce.host.decoding.sample_rule import GAP_FRAMES, GAP_NS
-from tipforce.host.decoding.sample_table import Column, Table, in_order, place_of
+from tipforce.host.decoding.sample_table import Column, Table, in_order
 from tipforce.host.decoding.service_frames import services
 from tipforce.host.decoding.services import BusEvents
 from tipforce.host.frames.frame_array import FRAME, MAX_CHANNELS, FrameArray
@@ -66,7 +66,6 @@ class Passed:
     """All frames that ``BusEvents`` looks at; channels are numbered as in ``notes.channels``."""
     columns: Headers
     """Of a part that was decoded apart, one element: all of them, in order."""
-    apart: bool = False
 
 
 class Recording:
@@ -113,19 +112,19 @@ class Recording:
         held: FrameArray = np.frombuffer(state.held, dtype=FRAME).copy()
         merger.timed = state.timed
         merger.resume(OpenRows(held, np.array(state.held_number, dtype=np.int64), state.syncs))
-        self._counters, self._health = Counters(state.counters), HealthRows(self.reading.signals, state.health)
-        for key in state.sampled:
-            self._health.sampled[key] = place_of(self.channels, key)
+        self._counters = Counters(state.counters)
+        self._health = HealthRows(self.reading.signals, state.health, state.sampled)
         merger.tally = Tally.of_rows(state.tally, state.short)
 
     def state(self) -> State:
         """Return what the next part of the recording depends on."""
-        frames, number, syncs = self._merger.open
-        tally, short = self.tally.rows()
+        held, number, syncs = self._merger.open
         return State(
-            list(self.channels), self._merger.timed, frames.tobytes(), number.tolist(), syncs,
+            list(self.channels), self._merger.timed, held.tobytes(), number.tolist(), syncs,
             dict(self._counters.last), self._health.told, list(self._health.sampled),
-            [(*place, code) for place, code in self.bus.states.items()], tally, short,
+            [(*place, code) for place, code in self.bus.states.items()],
+            [(*place, *count) for place, count in self.tally.messages.items()],
+            [(*place, frames) for place, frames in self.tally.short.items()],
             [(*place, crc) for place, crc in self.bus.calibrations.items()],
         )  # fmt: skip
 
@@ -159,8 +158,9 @@ class Recording:
         yield from self._finished(self._merger.finish())
         self._see()
 
-    def tables_of_part(self, part: DecodedPart) -> Iterator[Table] | None:
-        """The tables of the next part, decoded apart; None (this is then of no use): decode it after those in front."""
+    def tables_of_part(self, part: DecodedPart, last: bool) -> Iterator[Table] | None:
+        """The tables of the next part, decoded apart; ``last``: and of ``finish``. None (this is then of no use): it is
+        to be decoded after those in front."""
         if part.behind_head is None:
             return None
         before, numbers = self._merger.timed or not part.notes.goes_on, self.numbers_of(part.notes.channels)
@@ -168,12 +168,10 @@ class Recording:
         rows = [*self._merger.tables(renumbered(np.concatenate(part.head), numbers))]
         if not self._merger.open.equals(part.behind_head.renumbered(numbers)):
             return None
-        return self._behind_head(rows, part, numbers, before)
+        end = self.finish() if last else ()
+        return chain(self._finished(rows), self._behind_head(part, numbers, before), end)
 
-    def _behind_head(
-        self, rows: Iterable[Table], part: DecodedPart, numbers: Sequence[int], before: bool
-    ) -> Iterator[Table]:  # fmt: skip
-        yield from self._finished(rows)
+    def _behind_head(self, part: DecodedPart, numbers: Sequence[int], before: bool) -> Iterator[Table]:
         channels, timed = tuple(self.channels), self._merger.timed
         yield from self._finished(table.renumbered(numbers, channels, timed) for table in part.kept)
         self._merger.timed = before and part.notes.timed
@@ -186,7 +184,7 @@ class Recording:
         return filter(len, (self._health.joined(self._counters.unwrapped(table)) for table in tables))
 
     def _see(self) -> None:
-        self.unseen = self._health.unseen if joins(self.reading.signals) else []
+        self.unseen = self._health.unseen(self.channels) if joins(self.reading.signals) else []
 
     def _take_notes(self, notes: LogNotes) -> None:
         if notes.goes_on and self.notes and self.notes[-1].source == notes.source:
@@ -261,13 +259,13 @@ class DecodedPart:
     def follow(self, before: State, *, last: bool) -> Passed:
         """Return what the part leaves after ``before``; ``last``: the recording ends with it."""
         recording, columns, self._rows = Recording(self._reading, before), Headers(), _Kept()
-        if (tables := recording.tables_of_part(self)) is None:  # a log that grows may have more now
+        if (tables := recording.tables_of_part(self, last)) is None:  # a log that grows may have more now
             self.kept = _Kept()
             return decode_after(before, self._piece, self._reading, last, self._rows.extend)[0]
-        self._rows.extend(_noting(chain(tables, recording.finish() if last else ()), columns))
+        self._rows.extend(_noting(tables, columns))
         known = {column.name: column for of_table, _ in columns for column in of_table}
         headers = [(in_order(known.values(), self._reading.signals), columns[-1][1])] if columns else []
-        return Passed(recording.state(), recording.notes[0], self.services, headers, apart=True)
+        return Passed(recording.state(), recording.notes[0], self.services, headers)
 
     def rows(self, before: State, *, last: bool) -> Iterator[Table]:
         """Return all rows that begin in this part, in order, with these arguments of ``follow``."""

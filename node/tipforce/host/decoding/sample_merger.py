@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import occurring
+from tipforce.arrays import BoolArray, occurring
 from tipforce.dictionary.signals import Message, Signal
 from tipforce.host.decoding.counters import Place, SyncModulus, Tally
 from tipforce.host.decoding.decoder import Change, Decoder, Group, Plan, slots_of
@@ -16,7 +16,6 @@ from tipforce.host.decoding.pdo_layout import has_signal
 from tipforce.host.decoding.sample_rule import COUNTER, SAMPLES, SLOT, Joined, SlotCount, counter_place, join
 from tipforce.host.decoding.sample_table import (
     NODE_BITS,
-    BoolArray,
     Column,
     Layout,
     Table,
@@ -65,12 +64,9 @@ class SampleMerger:
     names of the frames' channels and may grow. ``signals`` None means all. ``tally`` counts the returned samples."""
 
     def __init__(
-        self,
-        decoder: Callable[[], Decoder],
-        channels: list[str],
-        signals: tuple[str, ...] | None,
+        self, decoder: Callable[[], Decoder], channels: list[str], signals: tuple[str, ...] | None,
         follows: bool = False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """``follows``: the layouts change with ``Decoder.changes``."""
         self._make, self._follows, self._signals = decoder, follows, signals
         self._decoders: dict[int, Decoder] = {}

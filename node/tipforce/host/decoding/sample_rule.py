@@ -192,7 +192,11 @@ def join_here(
     counters: dict[int, list[int]] = {frame.slot: [] for frame in decoded}
     for frame in kept:
         counters[frame.slot].append(frame.counter)
-    counts = [_count(slot, counters[slot], layouts[slot]) for slot in sorted(counters)]
+    counts = []
+    for slot in sorted(counters):
+        of_slot, layout = counters[slot], layouts[slot]
+        shown = losses(of_slot if layout["cyclic"] else (), int(layout["modulus"]))
+        counts.append(SlotCount(slot, len(of_slot), *shown))
     columns: list[list[int]] = [
         [frame.frame for frame in kept], [row_of[frame.start] for frame in kept], [frame.frame for frame in firsts],
         [frame.counter for frame in firsts], [frame.frame for frame in held], [frame.number for frame in held],
@@ -202,13 +206,11 @@ def join_here(
     return len(firsts), len(held), number, ends, counts, sorted(short.items())
 
 
-def _count(slot: int, counters: list[int], layout: npt.NDArray[np.void]) -> SlotCount:
-    modulus = int(layout["modulus"])
-    shown = [one for one in counters if one or modulus == SAMPLES] if layout["cyclic"] and modulus else []
-    first, last = (shown[0], shown[-1]) if shown else (-1, -1)
-    return SlotCount(slot, len(counters), first, last, sum(lost_between(*pair, modulus) for pair in pairwise(shown)))
-
-
-def lost_between(before: int, after: int, modulus: int) -> int:
-    """Return the number of samples missing between two counters: see ``lost_samples``."""
-    return max((after - before) % modulus - 1, 0)
+def losses(counter: npt.ArrayLike, modulus: int) -> tuple[int, int, int]:
+    """Return the first and the last of the counters (k,) of a PDO that follows SYNC, -1 for none, and how many samples
+    are missing between them: see ``lost_samples``. Where they are the SYNCs' numbers, 0 is no SYNC's latch."""
+    values = np.asarray(counter, dtype=np.int64)
+    values = values if modulus == SAMPLES else values[values > 0]
+    if not len(values) or not modulus:
+        return -1, -1, 0
+    return int(values[0]), int(values[-1]), int(np.maximum(np.diff(values) % modulus - 1, 0).sum())

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import BoolArray
 from tipforce.core import core
 from tipforce.dictionary.signals import Signal
 
 Values = npt.NDArray[Any]  # (k,): float64 (measurement), bool (flag) or an integer type (counter, register)
-BoolArray = npt.NDArray[np.bool_]
 
 NO_COUNTER = -1
 NO_FLAG = -1

@@ -154,11 +154,10 @@ class SdoConversation:
         else:
             self._take_segments(data[1])
             self._block_size = data[2]
-        self._block, self._segments = "download", bytearray()
-        if kind == 2 and self._ended:
-            self._block = ""
-            return f"SDO block write {self._name()}: segments received"
-        return f"SDO block write {self._name()}: ready for {self._block_size} segments"
+        whole = kind == 2 and self._ended
+        self._block, self._segments = "" if whole else "download", bytearray()
+        now = "segments received" if whole else f"ready for {self._block_size} segments"
+        return f"SDO block write {self._name()}: {now}"
 
     def _block_upload(self, data: bytes) -> str:
         kind = data[0] & 3
@@ -170,11 +169,8 @@ class SdoConversation:
             return f"SDO block read {self._name()}: end"
         if kind == 2:
             self._take_segments(data[1])
-            if self._ended:
-                self._block = ""
-                return f"SDO block read {self._name()}: segments received"
-            self._block_size = data[2]
-        self._block, self._segments = "upload", bytearray()
+            self._block_size = self._block_size if self._ended else data[2]
+        self._block, self._segments = "" if kind == 2 and self._ended else "upload", bytearray()
         return f"SDO block read {self._name()}: {'start' if kind == 3 else 'segments received'}"
 
     def _block_upload_response(self, data: bytes) -> str:

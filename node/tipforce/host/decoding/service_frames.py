@@ -1,12 +1,13 @@
 """The frames of services in blocks: those that ``DuplicateNodes`` processes, and its findings among them."""
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from canopen_device.core import codes
 from tipforce.host.decoding.duplicates import ANY_LENGTH, BEGINS, GUARDING, KIND_OF, Duplicate, DuplicateNodes
-from tipforce.host.frames.frame_array import FrameArray
+from tipforce.host.frames.frame_array import FIELDS, FrameArray, RawFrame
 
 if TYPE_CHECKING:
     from tipforce.host.decoding.decoder import Samples
@@ -28,15 +29,15 @@ def services(frames: FrameArray) -> FrameArray:
     return frames.compress(guarding | (whole & _COUNTS[kind, frames["data"][:, 0]]))
 
 
+def raw_frames(frames: FrameArray) -> Iterator[RawFrame]:
+    """Yield FRAME (n,) one by one."""
+    for t_ns, can_id, length, word in FIELDS.iter_unpack(frames.tobytes()):
+        yield t_ns, can_id, word.to_bytes(8, "little")[:length]
+
+
 def find_duplicates(watch: DuplicateNodes, frames: FrameArray) -> list[Duplicate]:
     """Process frames, FRAME (n,), in the order of reception; return the new findings."""
-    chosen = services(frames)
-    columns = (chosen[name].tolist() for name in ("t_ns", "can_id", "length"))
-    data = chosen["data"].tobytes()
-    new = [
-        watch.frame(can_id, data[8 * k : 8 * k + length], t_ns)
-        for k, (t_ns, can_id, length) in enumerate(zip(*columns, strict=True))
-    ]
+    new = [watch.frame(can_id, data, t_ns) for t_ns, can_id, data in raw_frames(services(frames))]
     return [duplicate for duplicate in new if duplicate is not None]
 
 

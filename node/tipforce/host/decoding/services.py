@@ -13,7 +13,7 @@ from tipforce.dictionary import indices
 from tipforce.dictionary.service_texts import LSS_PARTS, LSS_SERVICES, NMT_COMMANDS, emcy_text, state_text
 from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.decoding.sdo_conversation import Describe, SdoConversation, fingertip_names
-from tipforce.host.decoding.service_frames import services
+from tipforce.host.decoding.service_frames import raw_frames, services
 from tipforce.host.frames.frame_array import FrameArray
 
 _DAY_MS, _EPOCH_DAYS = 86_400_000, 5113  # TIME counts from 1984-01-01
@@ -54,17 +54,15 @@ class Services:
     def describe(self, frames: FrameArray, channel: npt.NDArray[np.integer[Any]] | None = None) -> Iterator[Service]:
         """Yield the services among FRAME (n,), in order. PDOs, error frames and 29-bit frames are left out. ``channel``
         (n,): numbers of the buses, if they are not those in ``frames``."""
-        can_id = frames["can_id"]
+        ids = frames["can_id"]
         rows = np.flatnonzero(
-            (can_id < codes.TPDO_BASES[0])
-            | ((can_id >= codes.SDO_RESPONSE_BASE) & (can_id <= codes.STANDARD_MASK))
-            | (can_id & ~np.uint32(codes.NODE_ID_MASK) == codes.HEARTBEAT_BASE | codes.REMOTE_FLAG)
+            (ids < codes.TPDO_BASES[0])
+            | ((ids >= codes.SDO_RESPONSE_BASE) & (ids <= codes.STANDARD_MASK))
+            | (ids & ~np.uint32(codes.NODE_ID_MASK) == codes.HEARTBEAT_BASE | codes.REMOTE_FLAG)
         )
-        chosen = frames.take(rows)
-        data, length = chosen["data"].tobytes(), chosen["length"].tolist()
         buses = (frames["channel"] if channel is None else channel)[rows].tolist()
-        for k, (row, identifier) in enumerate(zip(rows.tolist(), chosen["can_id"].tolist(), strict=True)):
-            if (service := self._service(identifier, data[8 * k : 8 * k + length[k]], buses[k])) is not None:
+        for row, bus, (_, can_id, data) in zip(rows.tolist(), buses, raw_frames(frames.take(rows)), strict=True):
+            if (service := self._service(can_id, data, bus)) is not None:
                 yield Service(row, *service)
 
     def _service(self, can_id: int, data: bytes, channel: int) -> tuple[str, int, str] | None:
@@ -107,10 +105,8 @@ class BusEvents:
     def add(self, frames: FrameArray, channels: Sequence[str]) -> None:
         """Add the events among FRAME (n,); ``channels`` are the interfaces by number."""
         chosen = services(frames)
-        data = chosen["data"].tobytes()
-        columns = (chosen[name].tolist() for name in ("t_ns", "can_id", "length", "channel"))
-        for k, (t_ns, can_id, length, number) in enumerate(zip(*columns, strict=True)):
-            channel, node_id, content = channels[number], can_id & codes.NODE_ID_MASK, data[8 * k : 8 * k + length]
+        for number, (t_ns, can_id, content) in zip(chosen["channel"].tolist(), raw_frames(chosen), strict=True):
+            channel, node_id = channels[number], can_id & codes.NODE_ID_MASK
             duplicate = self._duplicates.setdefault(channel, DuplicateNodes()).frame(can_id, content, t_ns)
             if self._node_ids is None or node_id in self._node_ids:
                 double = None if duplicate is None else ("duplicate", 0, str(duplicate))
