@@ -11,9 +11,9 @@ from canopen_device.core.codes import EXTENDED_FLAG
 from tipforce.core import core
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.frames.frame_block import CandumpBlock, FdFrame
-from tipforce.host.logs.candump import BadLineError, CandumpParser
+from tipforce.host.logs.candump import CandumpParser
 from tipforce.host.logs.candump_format import CandumpFormat
-from tipforce.host.logs.notes import LogNotes
+from tipforce.host.logs.notes import BadLineError, LogNotes
 
 
 class Answer(NamedTuple):

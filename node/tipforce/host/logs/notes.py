@@ -28,6 +28,10 @@ EXPECTED = {
 _SHOWN_CHARACTERS = 80
 
 
+class BadLineError(InputError):
+    """The first bad line or record of a log that is read strictly."""
+
+
 @dataclass(frozen=True, slots=True)
 class BadLine:
     """A line that cannot be used: ``reason`` is a key of EXPECTED, ``number`` counts from 1."""
@@ -91,9 +95,9 @@ class LogNotes:
             self.skipped[what] = self.skipped.get(what, 0) + count
 
     def note_bad(self, reason: str, text: str) -> None:
-        """Count an unusable line. Raises InputError with ``text`` if the log is read strictly."""
+        """Count an unusable line. Raises BadLineError with ``text`` if the log is read strictly."""
         if self.strict:
-            raise InputError(text)
+            raise BadLineError(text)
         self.bad[reason] = self.bad.get(reason, 0) + 1
         if self.first_bad is None:
             self.first_bad = text
