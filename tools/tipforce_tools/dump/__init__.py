@@ -1,5 +1,5 @@
 """Print frames byte for byte as candump does; with --decode, add what they mean: NMT, SYNC, EMCY, SDO with the names of
-objects, heartbeats, LSS, and the values in the PDOs of fingertips; of a bus, a log, or candump text on stdin with -."""
+objects, heartbeats, LSS, and the values in the PDOs of fingertips. Also of a log, or stdin with -."""
 
 import argparse
 
