@@ -227,6 +227,13 @@ def test_other_formats(name: str, tmp_path: Path, printed: Printed) -> None:
     assert [kind for _, kind in found] == [kind for _, kind in KINDS]
 
 
+def test_a_truncated_log_is_sent_up_to_there_and_refused(tmp_path: Path, printed: Printed) -> None:
+    path = written(tmp_path / "run.log.gz")
+    path.write_bytes(path.read_bytes()[:-9])
+    err = printed(2, f"replay -i virtual -c replay8 {path}").err
+    assert re.search(r"[1-9] frames sent.*damaged or truncated: .*ended before", err, re.DOTALL)
+
+
 def test_assignments(log: Path, printed: Printed) -> None:
     with listening("replay3", "replay4", "replay5") as (first, second, other):
         err = printed(0, f"replay -i virtual {log} replay3=can1 replay4=can1").err

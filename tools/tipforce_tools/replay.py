@@ -1,6 +1,5 @@
-"""Send the frames of a log with their recorded timing. LOG is any format that `tipforce decode` reads; - reads candump
-text on stdin. Remote, CAN FD and error frames are sent if the bus supports them; frames left out are counted on
-stderr."""
+"""Send the frames of a log with their recorded timing. LOG is as for `tipforce decode`; - reads candump text on stdin.
+Remote, CAN FD and error frames are sent if the bus supports them; frames left out are counted on stderr."""
 
 from __future__ import annotations
 

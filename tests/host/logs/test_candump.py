@@ -77,10 +77,10 @@ def test_a_bad_line_is_counted_and_strict_says_where_what_and_what_was_expected(
     good = "(1700000000.123456) vcan0 181#0102\n"
     parser, strict = CandumpParser(), CandumpParser(strict=True)
     assert len(block_of_text(f"{good}{line}\n{good}", parser).frames) == 2
-    assert (parser.notes.bad, parser.notes.first_bad_line) == ({reason: 1}, BadLine(2, line, reason))
+    assert (parser.notes.bad, parser.notes.first_bad) == ({reason: 1}, BadLine(2, line, reason))
     with pytest.raises(BadLineError) as caught:
         block_of_text(f"{good}{line}\n{good}", strict)
-    assert str(caught.value) == parser.notes.first_bad == f"line 2: {line!r}: {reason}: {EXPECTED[reason]}"
+    assert str(caught.value) == str(parser.notes.first_bad) == f"line 2: {line!r}: {reason}: {EXPECTED[reason]}"
     assert len(strict.take().frames) == 1
 
 
@@ -88,7 +88,7 @@ def test_many_bad_lines_are_counted_and_the_first_is_shortened() -> None:
     parser = CandumpParser()
     block_of_text("\n".join(f"bad {k}" * 200 for k in range(1000)), parser)
     assert parser.notes.bad == {"not a candump line": 1000}
-    assert len(parser.notes.first_bad or "") < 300
+    assert len(str(parser.notes.first_bad)) < 300
 
 
 def test_what_is_no_classic_frame_is_counted() -> None:

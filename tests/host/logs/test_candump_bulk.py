@@ -30,7 +30,7 @@ def _answer(frames: FrameArray, timed: bool, parser: CandumpParser, error: str) 
     rows = [(*row.tolist()[:3], row["data"].tobytes(), notes.channels[row["channel"]], row["flags"]) for row in frames]
     assert not frames["spare"].any()
     if error:  # what a reader knows of the lines behind the bad one does not matter
-        notes = LogNotes(first_bad_line=notes.first_bad_line)
+        notes = LogNotes(first_bad=notes.first_bad)
     return Answer(rows, notes, error)
 
 

@@ -1,6 +1,6 @@
 """Frames and python-can's messages: reception on every interface except SocketCAN, and messages to send and to log."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 
 import can
 import numpy as np
@@ -78,9 +78,3 @@ def message(
         bitrate_switch=bool((fd_flags or 0) & BIT_RATE_SWITCH),
         error_state_indicator=bool((fd_flags or 0) & ERROR_STATE),
     )
-
-
-def block_messages(block: CandumpBlock) -> Iterator[can.Message]:
-    """Return all frames of a block as messages, CAN FD frames in their order."""
-    for t_ns, can_id, length, data, interface, sent, fd_flags in block.in_order():
-        yield message(t_ns, can_id, length, data, block.names[interface], sent, fd_flags)

@@ -59,9 +59,7 @@ class CandumpParser:
             return self._frame(line)
         except ValueError as reason:
             bad = BadLine(notes.lines, line.rstrip("\r\n"), str(reason))
-            if notes.strict or notes.first_bad is None:
-                notes.first_bad_line = bad
-        notes.note_bad(bad.reason, str(bad))
+        notes.note_bad(bad.reason, bad)
         return None
 
     def _frame(self, line: str) -> tuple[bytes, bool] | FdFrame | None:

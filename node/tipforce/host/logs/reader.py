@@ -105,7 +105,7 @@ class LogReader(LogNotes):
                 ready.append(thread.submit(following))
                 yield block
         finally:
-            self.lines, self.first_bad, self.first_bad_line = notes.lines, notes.first_bad, notes.first_bad_line
+            self.lines, self.first_bad = notes.lines, notes.first_bad
 
     @property
     def position(self) -> int:
