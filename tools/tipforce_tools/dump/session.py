@@ -19,13 +19,13 @@ from tipforce.host.decoding.sdo_conversation import eds_names, fingertip_names
 from tipforce.host.decoding.service_frames import find_duplicates
 from tipforce.host.decoding.services import Service, Services
 from tipforce.host.frames.frame_block import BIT_RATE_SWITCH, ERROR_STATE, CandumpBlock
-from tipforce.host.live.receiver import InterfaceDownError, Selection
+from tipforce.host.live.receiver import Selection
 from tipforce.host.live.targets import select, split_targets
 from tipforce.host.logs.candump_format import CandumpFormat, identifier_text
 from tipforce.host.logs.notes import DROPPED, BadLineError, LogNotes, no_frame
 from tipforce.host.logs.reader import LogReader
 from tipforce_tools.cli import common, log_flags
-from tipforce_tools.cli.listening import Hints, check_sync, counted, open_targets
+from tipforce_tools.cli.listening import Hints, check_sync, counted, open_targets, received
 
 _COUNTER = "counter"
 _UNITS = {"degree": "deg"}
@@ -114,16 +114,9 @@ def dump(args: Namespace) -> int:
     hints = Hints(common.note) if args.decode else None
     with open_targets(targets, args, hints=hints) as receiver:
         try:
-            going_on = True
-            while going_on:
-                try:
-                    block = receiver.receive_block(timeout_s)
-                except InterfaceDownError as error:
-                    if not args.stay:
-                        raise
-                    common.note(f"tipforce dump: {error}")
-                    continue
-                going_on = session.show(block) if len(block) else timeout_s is None
+            for block in received(receiver, args, "dump"):
+                if not session.show(block):
+                    break
         finally:
             _report(session, receiver.dropped, None)
     return 0
