@@ -18,7 +18,7 @@ import can
 import pytest
 
 from canopen_device.core.codes import ERROR_FLAG
-from tipforce.host.logs.candump import CandumpParser
+from tipforce.host.logs.notes import LogNotes
 from tipforce.host.logs.recorder import Recorder
 from tipforce_tools.cli.main import main
 from tipforce_tools.log import default_name
@@ -216,14 +216,22 @@ def test_all_frames_to_one_bus(log: Path, printed: Printed) -> None:
 
 
 @pytest.mark.parametrize("name", ["run.log.gz", "run.blf", "run.asc"])
-def test_other_formats(name: str, tmp_path: Path) -> None:
+def test_other_formats(name: str, tmp_path: Path, printed: Printed) -> None:
     path = written(tmp_path / name)
+    assert len(printed(0, f"dump {path}").out.splitlines()) == len(KINDS)
     with listening("replay2") as (bus,):
         assert replay("-c", "replay2", "-q", str(path)) == 0
         found = [shown(message) for message in received(bus)]
     # ASC does not hold the class of an error frame.
     assert [one for one in found if one[1] != "error"] == [one for one in KINDS if one[1] != "error"]
     assert [kind for _, kind in found] == [kind for _, kind in KINDS]
+
+
+def test_a_truncated_log_is_sent_up_to_there_and_refused(tmp_path: Path, printed: Printed) -> None:
+    path = written(tmp_path / "run.log.gz")
+    path.write_bytes(path.read_bytes()[:-9])
+    err = printed(2, f"replay -i virtual -c replay8 {path}").err
+    assert re.search(r"[1-9] frames sent.*damaged or truncated: .*ended before", err, re.DOTALL)
 
 
 def test_assignments(log: Path, printed: Printed) -> None:
@@ -256,8 +264,8 @@ def test_without_assignments_frames_go_where_they_came_from(log: Path) -> None:
 def test_when_frames_are_due(tmp_path: Path, speed: float, max_gap_s: float | None, due_s: list[float]) -> None:
     path = tmp_path / "run.log"
     path.write_text("".join(f"({t_s}.000000) vcan0 285#00\n" for t_s in (5, 6, 6, 5, 100)))
-    args = Namespace(log=str(path), speed=speed, max_gap=max_gap_s, loop=2)
-    assert [due for due, _, _ in timed_frames(args, CandumpParser())] == pytest.approx(due_s)
+    args = Namespace(log=str(path), strict=False, speed=speed, max_gap=max_gap_s, loop=2)
+    assert [due for due, _, _ in timed_frames(args, LogNotes())] == pytest.approx(due_s)
 
 
 def test_loops_speed_and_gaps(tmp_path: Path) -> None:

@@ -159,7 +159,6 @@ decode run.log -o a.csv --hand left => --hand: is a partition of a dataset
 log -o run.log X => @ exists
 log -o run.xyz X | log -o run.blf.gz X | log -o run X => allowed are .asc,
 log run.log X => allowed are buses
-replay broken.blf X => tipforce: @:
 replay - --loop 2 X => stdin can be read only once
 replay run.log a=b X => allowed is one of them
 replay run.log --speed 0 | replay run.log --speed nan => %: '@': allowed are numbers over 0, and inf
@@ -342,12 +341,12 @@ decode prose.txt | decode prose.txt -o out.csv | decode prose.txt --summary => p
 decode prose.txt --json => prose.txt: no frames in it; is it a log?
 monitor prose.txt | monitor --json prose.txt | replay -i virtual -c no-log prose.txt => NO_LOG
 dump --decode -q prose.txt => NO_LOG
-decode broken.blf | view broken.blf => the file is damaged or of another format
+decode broken.blf | view broken.blf | replay broken.blf X => the file is damaged or of another format
 decode noise.asc => @
 decode j1939.log | plot j1939.log -o x.svg => all have 29-bit identifiers, which CANopen does not use
 monitor j1939.log => all have 29-bit identifiers, which CANopen does not use
 decode other.log -o x.csv | view other.log => `tipforce dump --decode` shows what they are
-dump prose.txt => other formats: `tipforce decode`
+dump prose.txt => pcap and pcapng
 dump binary.toml => binary.toml: no frames in it; is it a log?
 exit 5
 scan --nodes 50-60 --wait 0.01 BUS => is the bus powered and terminated, is the bit rate right?

@@ -4,20 +4,14 @@ stderr reports the number of frames, and of frames dropped by the kernel."""
 from __future__ import annotations
 
 import argparse
-import math
 import re
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import bus_flags, common
-from tipforce_tools.cli.listening import Hints, StopSignals, add_sync_argument, counted, open_targets
+from tipforce_tools.cli.listening import Hints, StopSignals, add_sync_argument, counted, open_targets, received
 from tipforce_tools.cli.main import INTERRUPTED
-
-if TYPE_CHECKING:
-    from tipforce.host.live.receiver import ReceiverGroup
-    from tipforce.host.logs.recorder import Recorder
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,7 +56,10 @@ def run(args: argparse.Namespace) -> int:
         common.note(f"tipforce log: recording to {recorder.paths[0]}")
         begun_s = time.monotonic()
         try:
-            _record(args, receiver, recorder, stop)
+            for block in received(receiver, args, "log", stop):
+                recorder.write(block if args.count is None else block.head(args.count - recorder.frames))
+                if recorder.frames == args.count:
+                    break
         finally:
             seconds, paths = time.monotonic() - begun_s, [str(path) for path in recorder.paths]
             to, dropped = paths[0] if len(paths) == 1 else f"{len(paths)} files", receiver.dropped
@@ -83,37 +80,6 @@ def _bytes(text: str) -> int:
 
 TICK_S = 0.02
 """Period of writes: saves work, and the socket's buffer holds many times as much."""
-_SLICE_S = 0.2  # maximum delay of a signal
-_LAST_S = 0.5  # time to read pending frames after a signal
-
-
-def _record(args: argparse.Namespace, receiver: ReceiverGroup, recorder: Recorder, stop: StopSignals) -> None:
-    from tipforce.host.live.receiver import InterfaceDownError
-
-    limit_s = math.inf if args.timeout_ms is None else args.timeout_ms / 1000
-    last_s = time.monotonic()
-    end_s = math.inf if args.seconds is None else last_s + args.seconds
-    while not stop() and (now_s := time.monotonic()) < end_s:
-        try:
-            block = receiver.receive_block(min(_SLICE_S, limit_s, end_s - now_s))
-        except InterfaceDownError as error:
-            if not args.stay:
-                raise
-            common.note(f"tipforce log: {error}")
-            continue
-        if len(block):
-            last_s = time.monotonic()
-        elif time.monotonic() - last_s >= limit_s:
-            return
-        if args.count is not None:
-            block = block.head(args.count - recorder.frames)
-        recorder.write(block)
-        if recorder.frames == args.count:
-            return
-    # Frames received until then are recorded, too.
-    end_s = time.monotonic() + _LAST_S
-    while time.monotonic() < end_s and len(block := receiver.receive_block(0)):
-        recorder.write(block if args.count is None else block.head(args.count - recorder.frames))
 
 
 def default_name(second: float) -> str:

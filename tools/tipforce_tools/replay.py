@@ -1,6 +1,5 @@
-"""Send the frames of a log with their recorded timing. LOG is candump text (plain, gzip or zstd; - reads stdin) or any
-format that python-can reads. Remote, CAN FD and error frames are sent if the bus supports them; frames left out are
-counted on stderr."""
+"""Send the frames of a log with their recorded timing. LOG is as for `tipforce decode`; - reads candump text on stdin.
+Remote, CAN FD and error frames are sent if the bus supports them; frames left out are counted on stderr."""
 
 from __future__ import annotations
 
@@ -11,21 +10,18 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
-from io import FileIO
 from itertools import count, islice
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from canopen_device.core.codes import ERROR_FLAG
-from tipforce.errors import InputError, TipforceError
+from tipforce.errors import InputError
 from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.listening import StopSignals, counted
 from tipforce_tools.cli.main import INTERRUPTED
 
 if TYPE_CHECKING:
-    from tipforce.host.frames.frame_block import CandumpBlock, Frame
+    from tipforce.host.frames.frame_block import Frame
     from tipforce.host.live.send import Sender
-    from tipforce.host.logs.candump import CandumpParser
     from tipforce.host.logs.notes import LogNotes
 
 _gap = common.number_that(lambda gap_s: 0 <= gap_s < math.inf, "are 0 or more seconds")
@@ -65,19 +61,18 @@ def _loop(text: str) -> int | None:
 def run(args: argparse.Namespace) -> int:
     """Send the frames; return 0, 1 for a bad line with --strict, or 130 after a signal. Raises InputError, also for the
     answer "no", and EnvironmentLackError for a bus that fails."""
-    from tipforce.host.logs.candump import BadLineError, CandumpParser
-    from tipforce.host.logs.notes import MESSAGES, PACKED, TEXT, no_frame
+    from tipforce.host.logs.notes import BadLineError, LogNotes, no_frame
 
     if args.log == STDIN and args.loop != 1:
         raise InputError("--loop: stdin can be read only once; pass a file")
     if args.assignments and getattr(args, "channel", None):
         raise InputError("-c and WRITE=LOG: allowed is one of them: -c sends all frames to one bus")
-    parser = CandumpParser(strict=args.strict)
+    notes = LogNotes()
     late_s, started = 0.0, True
     with StopSignals() as stop, ExitStack() as opened:
         buses, start_s = Buses(args, opened), time.monotonic()
         try:
-            for due_s, name, frame in timed_frames(args, parser):
+            for due_s, name, frame in timed_frames(args, notes):
                 while (rest_s := start_s + due_s - time.monotonic()) > 0 and not stop():
                     time.sleep(min(rest_s, _SLICE_S))
                 if stop():
@@ -85,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
                 late_s = max(late_s, -rest_s)
                 buses.send(name, frame)
             if not (stop() or buses.sent or buses.left_out):
-                raise no_frame(args.log, parser.notes.first_bad, (TEXT, PACKED, MESSAGES))
+                raise no_frame(args.log, notes.first_bad)
         except BadLineError as error:
             print(f"tipforce replay: {error}", file=sys.stderr)
             return 1
@@ -94,26 +89,33 @@ def run(args: argparse.Namespace) -> int:
             raise
         finally:
             if started:
-                _report(buses, parser.notes, time.monotonic() - start_s, late_s)
+                _report(buses, notes, time.monotonic() - start_s, late_s)
     return INTERRUPTED if stop() else 0
 
 
-def timed_frames(args: argparse.Namespace, parser: CandumpParser) -> Iterator[tuple[float, str, Frame]]:
+def timed_frames(args: argparse.Namespace, notes: LogNotes) -> Iterator[tuple[float, str, Frame]]:
     """Yield all frames in order, --loop times: seconds after the start, interface, frame. The steps of time are those
     of the log, none backwards and none longer than --max-gap, divided by --speed. Raises InputError."""
-    path, due_s = Path(args.log), 0.0
+    from tipforce.host.logs.notes import UNREADABLE
+    from tipforce.host.logs.reader import LogReader
+
+    due_s = 0.0
     longest_ns = math.inf if args.max_gap is None else round(args.max_gap * 1e9)
-    suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() not in {".gz", ".zst"}]
-    is_text = not suffixes or suffixes[-1] in _TEXT_SUFFIXES
     for _ in islice(count(), args.loop):
         last_ns = None  # the first frame of a pass is due with the last of the one before
-        for block in _text_blocks(args.log, parser) if is_text else _message_blocks(path):
-            if not block.timed:
-                raise InputError(f"{args.log} has no timestamps: record it with candump -L or `tipforce log`")
-            for frame in block.in_order():
-                step_ns = 0 if last_ns is None else max(frame[0] - last_ns, 0)
-                due_s, last_ns = due_s + min(step_ns, longest_ns) * 1e-9 / args.speed, frame[0]
-                yield due_s, block.names[frame[4]], frame
+        log = LogReader(args.log, strict=args.strict)
+        try:
+            for block in log.blocks():
+                if not block.timed:
+                    raise InputError(f"{args.log} has no timestamps: record it with candump -L or `tipforce log`")
+                for frame in block.in_order():
+                    step_ns = 0 if last_ns is None else max(frame[0] - last_ns, 0)
+                    due_s, last_ns = due_s + min(step_ns, longest_ns) * 1e-9 / args.speed, frame[0]
+                    yield due_s, block.names[frame[4]], frame
+        finally:
+            notes.append(log)
+        if UNREADABLE in log.bad:
+            raise InputError(f"{args.log}: damaged or truncated: {log.first_bad}")
         if last_ns is None:
             return
 
@@ -134,43 +136,6 @@ def _report(buses: Buses, notes: LogNotes, seconds: float, late_s: float) -> Non
 
 
 STDIN = "-"
-_BLOCK_FRAMES = 4096
-_TEXT_SUFFIXES = {".log", ".txt"}  # python-can's reader of .log supports neither error frames nor CAN FD flags
-
-
-def _text_blocks(name: str, parser: CandumpParser) -> Iterator[CandumpBlock]:
-    from tipforce.host.logs.candump import text_blocks
-    from tipforce.host.logs.lines import decompressed, open_file
-
-    stdin = name == STDIN
-    with FileIO(sys.stdin.fileno(), closefd=False) if stdin else open_file(Path(name)) as file:
-        try:
-            yield from text_blocks(file.read if stdin else decompressed(file, name).read, parser)
-        except (OSError, EOFError) as error:
-            raise InputError(f"{name}: {error}") from error
-
-
-def _message_blocks(path: Path) -> Iterator[CandumpBlock]:
-    from tipforce.host.live.python_can import message_block
-    from tipforce.host.logs.library_formats import message_reader
-
-    names: dict[str, int] = {}
-    try:
-        with message_reader(path) as reader:
-            messages = iter(reader)
-            while chunk := list(islice(messages, _BLOCK_FRAMES)):
-                for message in chunk:
-                    if isinstance(message.channel, int):
-                        message.channel = f"can{message.channel}"
-                yield message_block(chunk, names)
-    except TipforceError:
-        raise
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except Exception as error:  # python-can's readers raise any exception on a damaged file
-        raise InputError(f"{path}: damaged, or no {path.suffix} log of python-can: {error}") from error
-
-
 _SLICE_S = 0.2  # maximum delay of a signal
 _VIRTUAL = ("virtual", "udp_multicast")
 

@@ -7,7 +7,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -88,6 +88,8 @@ ROW_TIMEOUT_S = 0.05
 HEALTH_YOUNG_NS = 3_000_000_000
 _SERVICE = ~np.uint32(NODE_ID_MASK)
 _SERVICES = (NMT_COB_ID, EMCY_BASE, HEARTBEAT_BASE)
+COUNTED = ("missing", "late", "mixed", "doubtful")
+"""The counts of a RowTally by finger that are shown, as ``Counters`` has them."""
 _UNPACED_FRAMES = 50  # PDOs without a SYNC, after which a PDO begins the rows
 
 
@@ -141,10 +143,10 @@ class Watcher:
         """Return the NMT state of a finger by its heartbeat; empty without one."""
         return self._supervisor.state_name(node_id) if self._supervisor.states.get(node_id, -1) >= 0 else ""
 
-    def tally(self) -> tuple[list[int], list[int], list[int], list[int]]:
-        """Return missing, late, mixed and doubtful responses of each finger so far."""
-        tally = RowTally(tuple(f.node_id for f in self.fingers)) if self._collector is None else self._collector.tally
-        return tally.missing.tolist(), tally.late.tolist(), tally.mixed.tolist(), tally.doubtful.tolist()
+    @property
+    def tally(self) -> RowTally:
+        """Counts so far."""
+        return RowTally(tuple(f.node_id for f in self.fingers)) if self._collector is None else self._collector.tally
 
     def discover(self, frames: FrameArray) -> None:
         """Only find the fingers: the first pass over a log."""
@@ -182,7 +184,8 @@ class Watcher:
         before, self._collector = self._collector, Collector(node_ids, messages, self._gauges, ROW_TIMEOUT_S)
         if before is not None:
             columns = [node_ids.index(node_id) for node_id in before.node_ids]
-            for what in ("missing", "late", "mixed", "doubtful"):
+            self._collector.tally.rows = before.tally.rows
+            for what in COUNTED:
                 getattr(self._collector.tally, what)[columns] = getattr(before.tally, what)
 
     def _watch(self, frames: FrameArray, now_s: float) -> list[Event]:
@@ -239,6 +242,12 @@ class Counters:
     load: tuple[float | None, float | None] = (None, None)
     """Bus load as a fraction of the bit rate, without stuff bits and with the most."""
     jitter_p99_us: float | None = None
+
+    @classmethod
+    def of(cls, tally: RowTally, dropped: int = 0, overrun: int = 0, **more: Any) -> Counters:
+        """Return these counts of rows, and more."""
+        of_fingers = {what: getattr(tally, what).tolist() for what in COUNTED}
+        return cls(tally.rows, **of_fingers, dropped=dropped, overrun=overrun, **more)
 
 
 class Feed:
@@ -319,11 +328,8 @@ class HandFeed(Feed):
         """See Feed."""
         statistics = self._hand.statistics()
         jitter_us = statistics.sync.p99_us if statistics.sync.periods else None
-        tally = statistics.tally
-        return Counters(
-            tally.rows, tally.missing.tolist(), tally.late.tolist(), tally.mixed.tolist(), tally.doubtful.tolist(),
-            statistics.dropped, self.overrun, statistics.load, jitter_us,
-        )  # fmt: skip
+        more = {"load": statistics.load, "jitter_p99_us": jitter_us}
+        return Counters.of(statistics.tally, statistics.dropped, self.overrun, **more)
 
 
 class FrameFeed(Feed):
@@ -335,7 +341,7 @@ class FrameFeed(Feed):
     ) -> None:  # fmt: skip
         self._watcher, self._load = Watcher(make_finger, gauges, fingers), LoadMeter(bit_rate)
         super().__init__(source.close, self._watcher.state, fingers, gauges)
-        self.rows = self.frames = 0
+        self.frames = 0
         self._source, self._down = source, False
 
     def take(self, timeout_s: float) -> tuple[list[Block], list[Event]]:
@@ -357,7 +363,6 @@ class FrameFeed(Feed):
         self.fingers, self.ended = self._watcher.fingers, self._source.ended
         if self.ended:
             blocks += self._watcher.add(_NO_FRAMES, self.now_ns() * 1e-9 + 1.0)[0]
-        self.rows += sum(map(len, blocks))
         return blocks, [*events, *watched]
 
     def _read(self, timeout_s: float) -> FrameArray:
@@ -376,4 +381,4 @@ class FrameFeed(Feed):
     def counters(self) -> Counters:
         """See Feed."""
         load = self._load.load(time.monotonic())
-        return Counters(self.rows, *self._watcher.tally(), dropped=self._source.dropped, load=load)
+        return Counters.of(self._watcher.tally, self._source.dropped, load=load)

@@ -8,7 +8,7 @@ import pytest
 
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.live import send
-from tipforce.host.live.send import NotCarriedError, SocketCanSender, open_sender
+from tipforce.host.live.send import NotCarriedError, SocketCanSender
 
 FD = 0x123, 12, bytes(range(12)), 1
 Make = Callable[..., SocketCanSender]
@@ -74,8 +74,3 @@ def test_a_bus_without_can_fd(make: Make) -> None:
         sender.send(*FD)
     with make(errno.ENETDOWN) as sender, pytest.raises(EnvironmentLackError, match="can7: ENETDOWN"):
         sender.send(*FD)
-
-
-def test_a_bus_that_is_not_there() -> None:
-    with pytest.raises(EnvironmentLackError, match="nocan7"):
-        open_sender({"interface": "socketcan", "channel": "nocan7"})

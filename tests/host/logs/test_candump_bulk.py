@@ -11,9 +11,9 @@ from canopen_device.core.codes import EXTENDED_FLAG
 from tipforce.core import core
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.frames.frame_block import CandumpBlock, FdFrame
-from tipforce.host.logs.candump import BadLineError, CandumpParser
+from tipforce.host.logs.candump import CandumpParser
 from tipforce.host.logs.candump_format import CandumpFormat
-from tipforce.host.logs.notes import LogNotes
+from tipforce.host.logs.notes import BadLineError, LogNotes
 
 
 class Answer(NamedTuple):
@@ -30,7 +30,7 @@ def _answer(frames: FrameArray, timed: bool, parser: CandumpParser, error: str) 
     rows = [(*row.tolist()[:3], row["data"].tobytes(), notes.channels[row["channel"]], row["flags"]) for row in frames]
     assert not frames["spare"].any()
     if error:  # what a reader knows of the lines behind the bad one does not matter
-        notes = LogNotes(first_bad_line=notes.first_bad_line)
+        notes = LogNotes(first_bad=notes.first_bad)
     return Answer(rows, notes, error)
 
 

@@ -89,7 +89,8 @@ def test_health_tells_the_uncertainty_of_the_force() -> None:
     watcher.add(frame_array([*cycle(0, (1, 2)), health]), 0.0)
     (block,), _ = watcher.add(frame_array(cycle(1, (1, 2))), 0.01)
     assert block.u[0, 0, 0] == pytest.approx(0.025)
-    assert np.isnan(block.u[0, 1, 0])
+    assert np.isnan(block.u[0, 0, 1:]).all()  # no calibration: only health tells
+    assert np.isnan(block.u[0, 1]).all()
 
 
 @pytest.fixture
@@ -284,15 +285,6 @@ def test_what_is_unknown_has_no_uncertainty_and_what_is_known_keeps_its_own() ->
     assert np.isnan(found.u[1, 0, 2])
     assert found.u[1, 1, 0] > 0
     assert np.isnan(found.u[1, 1, 1:]).all()
-
-
-def test_without_a_calibration_only_health_tells() -> None:
-    columns = {"P": np.ones((1, 2)), "phi": np.full((1, 2), -90.0), "theta": np.full((1, 2), 90.0)}
-    assert np.isnan(rows(columns).block([None, None], 3).u).all()
-    found = rows(columns).block([None, None], 3, np.array([[0.02, np.nan]]))
-    assert found.u[0, 0, 0] == pytest.approx(0.02)
-    assert np.isnan(found.u[0, 0, 1:]).all()
-    assert np.isnan(found.u[0, 1]).all()
 
 
 def test_the_drawing_has_the_strain_of_the_beams() -> None:

@@ -7,7 +7,7 @@ import math
 import signal
 import time
 from argparse import Namespace
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any, Self
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from tipforce.watching.findings import Finding, Observed
 
 _HINT_S = 0.5
+_SLICE_S = 0.2  # maximum delay of a signal
+_LAST_S = 0.5  # time to read pending frames after a signal
 _sync_hz = common.number_within(0.0, 10_000.0, "is above 0 up to 10000 Hz", over=True)
 
 
@@ -145,6 +147,34 @@ def open_targets(
     if any(target.filters for target in targets):
         hints = None  # what a filter leaves out is not missing
     return _group(args, buses, TICK_S if tick_s is None else tick_s, hints)
+
+
+def received(
+    receiver: ReceiverGroup, args: Namespace, command: str, stop: Callable[[], bool] = lambda: False
+) -> Iterator[CandumpBlock]:
+    """Yield blocks until ``stop``, --seconds, or -T without a frame; with -D also after an interface went down. Frames
+    received until ``stop`` are yielded, too. Raises EnvironmentLackError for a bus that fails."""
+    from tipforce.host.live.receiver import InterfaceDownError
+
+    limit_s = math.inf if args.timeout_ms is None else args.timeout_ms / 1000
+    last_s, seconds = time.monotonic(), getattr(args, "seconds", None)
+    end_s = math.inf if seconds is None else last_s + seconds
+    while not stop() and (now_s := time.monotonic()) < end_s:
+        try:
+            block = receiver.receive_block(min(_SLICE_S, limit_s, end_s - now_s))
+        except InterfaceDownError as error:
+            if not args.stay:
+                raise
+            common.note(f"tipforce {command}: {error}")
+            continue
+        if len(block):
+            last_s = time.monotonic()
+            yield block
+        elif time.monotonic() - last_s >= limit_s:
+            return
+    end_s = time.monotonic() + _LAST_S
+    while time.monotonic() < end_s and len(block := receiver.receive_block(0)):
+        yield block
 
 
 def listening(

@@ -1,5 +1,5 @@
 """Print frames byte for byte as candump does; with --decode, add what they mean: NMT, SYNC, EMCY, SDO with the names of
-objects, heartbeats, LSS, and the values in the PDOs of fingertips. Text: a log file, or stdin with -."""
+objects, heartbeats, LSS, and the values in the PDOs of fingertips. Also of a log, or stdin with -."""
 
 import argparse
 
@@ -14,14 +14,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
       #MASK     error frames of these classes (default: none)
       j         a frame must pass all filters (default: one of them)
     At the end stderr reports frames left out, and with -v the count of each message.
-    exit codes: 0 ok, 1 a bad line with --strict, or no frames in the text, 2 usage
-    With text, CHANNEL (or `any`) selects by the interface named in each line.
+    exit codes: 0 ok, 1 a bad line with --strict, or no frames in the log, 2 usage
+    With a log, CHANNEL (or `any`) selects by the interface named in each line.
 
       tipforce dump -ta vcan0,285:7FF,#FFFFFFFF         one PDO and all error frames
       candump -L vcan0 | tipforce dump --decode --json -
     """
     parser.description = __doc__
-    metavar, what = "CHANNEL[,FILTER...] | FILE | -", "buses, or a file of candump text"
+    metavar, what = "CHANNEL[,FILTER...] | LOG | -", "buses, or a log of any format"
     parser.add_argument("targets", nargs="*", type=common.TARGET, metavar=metavar, help=what)
     look = parser.add_argument_group("candump's flags")
     stamps = "timestamps: -ta absolute, -td since the line before, -tz from zero, -tA with the date"
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--gauges", type=int, choices=range(3, 9), default=3, metavar="N", help="3 (default) to 8")
     log_flags.add_eds_argument(parser)
     add_sync_argument(parser)
-    parser.add_argument("--strict", action="store_true", help="text: exit with 1 at the first bad line")
+    parser.add_argument("--strict", action="store_true", help="log: exit with 1 at the first bad line")
     bus_flags.add_bus_arguments(parser)
 
 

@@ -6,9 +6,6 @@ import sys
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
-from io import FileIO
-from pathlib import Path
-from select import select as readable
 from typing import Any
 
 from canopen_device.core.codes import ERROR_FLAG, REMOTE_FLAG
@@ -22,14 +19,13 @@ from tipforce.host.decoding.sdo_conversation import eds_names, fingertip_names
 from tipforce.host.decoding.service_frames import find_duplicates
 from tipforce.host.decoding.services import Service, Services
 from tipforce.host.frames.frame_block import BIT_RATE_SWITCH, ERROR_STATE, CandumpBlock
-from tipforce.host.live.receiver import InterfaceDownError, Selection
-from tipforce.host.live.targets import STDIN, select, split_targets
-from tipforce.host.logs.candump import BadLineError, CandumpParser, text_blocks
+from tipforce.host.live.receiver import Selection
+from tipforce.host.live.targets import select, split_targets
 from tipforce.host.logs.candump_format import CandumpFormat, identifier_text
-from tipforce.host.logs.lines import open_file
-from tipforce.host.logs.notes import DROPPED, TEXT, LogNotes, no_frame
+from tipforce.host.logs.notes import DROPPED, BadLineError, LogNotes, no_frame
+from tipforce.host.logs.reader import LogReader
 from tipforce_tools.cli import common, log_flags
-from tipforce_tools.cli.listening import Hints, check_sync, counted, open_targets
+from tipforce_tools.cli.listening import Hints, check_sync, counted, open_targets, received
 
 _COUNTER = "counter"
 _UNITS = {"degree": "deg"}
@@ -112,52 +108,35 @@ def dump(args: Namespace) -> int:
     source, targets = split_targets(args.targets)
     check_sync(args, source)
     session = Session(args, targets, live=source is None)
-    if source is not None:
-        return _dump_text(args, source, targets, session)
-    hints = Hints(common.note) if args.decode else None
     timeout_s = None if args.timeout_ms is None else args.timeout_ms / 1000
+    if source is not None:
+        return _dump_log(LogReader(source, strict=args.strict, timeout_s=timeout_s), targets, session, timeout_s)
+    hints = Hints(common.note) if args.decode else None
     with open_targets(targets, args, hints=hints) as receiver:
         try:
-            going_on = True
-            while going_on:
-                try:
-                    block = receiver.receive_block(timeout_s)
-                except InterfaceDownError as error:
-                    if not args.stay:
-                        raise
-                    common.note(f"tipforce dump: {error}")
-                    continue
-                going_on = session.show(block) if len(block) else timeout_s is None
+            for block in received(receiver, args, "dump"):
+                if not session.show(block):
+                    break
         finally:
             _report(session, receiver.dropped, None)
     return 0
 
 
-def _dump_text(args: Namespace, source: Path | str, targets: tuple[Selection, ...], session: Session) -> int:
-    parser = CandumpParser(strict=args.strict)
-    notes = parser.notes
-    with FileIO(sys.stdin.fileno(), closefd=False) if source == STDIN else open_file(Path(source)) as file:
-
-        def read(count: int) -> bytes | None:
-            """Return what has arrived; nothing after --timeout without it."""
-            waits = args.timeout_ms is not None
-            ready = not waits or readable([file], [], [], args.timeout_ms / 1000)[0]
-            return file.read(count) if ready else b""
-
-        frames = 0
-        try:
-            for block in text_blocks(read, parser):
-                frames += len(block)
-                if not session.show(select(block, targets)):
-                    break
-            if not frames and (notes.bad or args.timeout_ms is None):
-                raise no_frame(str(source), notes.first_bad, (TEXT, "other formats: `tipforce decode`"))
-        except BadLineError as error:
-            print(f"tipforce dump: {error}", file=sys.stderr)
-            return 1
-        finally:
-            if frames:  # otherwise the error is the whole report
-                _report(session, notes.skipped.get(DROPPED, 0), notes)
+def _dump_log(log: LogReader, targets: tuple[Selection, ...], session: Session, timeout_s: float | None) -> int:
+    frames = 0
+    try:
+        for block in log.blocks():
+            frames += len(block)
+            if not session.show(select(block, targets)):
+                break
+        if not frames and (log.bad or timeout_s is None):
+            raise no_frame(log.source, log.first_bad)
+    except BadLineError as error:
+        print(f"tipforce dump: {error}", file=sys.stderr)
+        return 1
+    finally:
+        if frames:  # otherwise the error is the whole report
+            _report(session, log.skipped.get(DROPPED, 0), log)
     return 0
 
 

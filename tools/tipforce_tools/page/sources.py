@@ -138,11 +138,11 @@ class LogSource(Source):
         super().__init__(path.name, "a log can't be tared", Model(found, gauges, live=False, capacity=rows + 1))
         self.python = _PYTHON.format(file=path.name, node_id=found[0].node_id)
         low, high = self._read()
-        if not self._rows:
+        if not self._watcher.tally.rows:
             raise InputError(f"{path}: no sample between --from and --to; the log lasts {self._seconds:g} s")
         start, end = self.model.span_ns()
         bits = DEFAULT_BIT_RATE * max((end - start) * 1e-9, 1e-9)
-        self.model.counters = Counters(self._rows, *self._watcher.tally(), load=(low / bits, high / bits))
+        self.model.counters = Counters.of(self._watcher.tally, load=(low / bits, high / bits))
 
     def _discover(self, start_s: float, end_s: float | None) -> int:
         """Find the fingers and the length of the log; return the rows of the part at most: SYNCs, or a node's PDOs."""
@@ -170,7 +170,7 @@ class LogSource(Source):
         return int(count[SYNC_COB_ID]) or int(count[TPDO_BASES[0] + 1 : RPDO_BASES[2]].max())
 
     def _read(self) -> tuple[int, int]:
-        self._rows, last_s, low, high = 0, 0.0, 0, 0
+        last_s, low, high = 0.0, 0, 0
         kept: list[FrameArray] = []
         with open_log(self._path, start_ns=self._limits[0], end_ns=self._limits[1]) as log:
             for frames in log:
@@ -190,7 +190,6 @@ class LogSource(Source):
         blocks, events = self._watcher.add(frames, now_s)
         for block in blocks:
             self.model.add(block)
-            self._rows += len(block)
         return events
 
 

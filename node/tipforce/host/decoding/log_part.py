@@ -116,7 +116,7 @@ class Source(LogReader):
                 raise
             text, name = str(error), "stdin" if self.source == "-" else self.source
             strict = StrictError(text if text.startswith(name) else f"{name}: {text}")
-            strict.bad, strict.goes_on = self.first_bad_line, self.goes_on
+            strict.bad, strict.goes_on = self.first_bad if isinstance(self.first_bad, BadLine) else None, self.goes_on
             raise strict from None
 
     def _chosen(self, block: FrameArray) -> FrameArray:

@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.host.frames.frame_array import SENT, FrameArray
+from canopen_device.can_frame import raw_can_id
+from tipforce.host.frames.frame_array import FRAME, PACK_FRAME, SENT, FrameArray
+
+if TYPE_CHECKING:
+    import can
 
 BIT_RATE_SWITCH, ERROR_STATE = 0x01, 0x02
 """Bits of ``flags``: CANFD_BRS and CANFD_ESI of linux/can.h."""
@@ -89,3 +93,24 @@ class CandumpBlock:
         if not self.fd:
             return rows
         return rows + np.searchsorted([one.row for one in self.fd], rows, side="right")
+
+
+def packed(message: can.Message, t_ns: int, interface: int) -> bytes | FdFrame:
+    """Return a message of python-can as the bytes of a FRAME, or as a CAN FD frame."""
+    can_id, data, sent = raw_can_id(message), bytes(message.data), not message.is_rx
+    if message.is_fd:
+        flags = message.bitrate_switch * BIT_RATE_SWITCH + message.error_state_indicator * ERROR_STATE
+        return FdFrame(0, t_ns, can_id, flags, data, interface, sent)
+    length = message.dlc if message.is_remote_frame else len(data)
+    return PACK_FRAME(t_ns, can_id, min(length, 8), interface, SENT if sent else 0, data[:8])
+
+
+def gathered(rows: Iterable[bytes | FdFrame], names: tuple[str, ...], timed: bool = True) -> CandumpBlock:
+    """Return frames in order, classic ones as the bytes of a FRAME, as a block."""
+    frames, fd = bytearray(), list[FdFrame]()
+    for row in rows:
+        if isinstance(row, FdFrame):
+            fd.append(row._replace(row=len(frames) // FRAME.itemsize))
+        else:
+            frames += row
+    return CandumpBlock(np.frombuffer(frames, dtype=FRAME), names, timed, tuple(fd))

@@ -1,15 +1,13 @@
 """Frames and python-can's messages: reception on every interface except SocketCAN, and messages to send and to log."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 
 import can
 import numpy as np
 
-from canopen_device.can_frame import raw_can_id
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.frames.frame_array import FRAME, PACK_FRAME, SENT
-from tipforce.host.frames.frame_block import BIT_RATE_SWITCH, ERROR_STATE, CandumpBlock, FdFrame
+from tipforce.host.frames.frame_block import BIT_RATE_SWITCH, ERROR_STATE, CandumpBlock, gathered, packed
 from tipforce.host.live.receiver import Receiver, Selection, ShortSwitchInterval
 
 BURST = 512
@@ -53,20 +51,11 @@ class PythonCanReceiver(Receiver):
 
 def message_block(messages: Iterable[can.Message], names: dict[str, int], channel: str = "") -> CandumpBlock:
     """Return python-can messages as a block; ``names`` gets new interfaces, from ``channel`` or from each message."""
-
-    frames, fd = bytearray(), list[FdFrame]()
+    rows = []
     for message in messages:
         name = channel or str("can" if message.channel is None else message.channel)
-        number = names.setdefault(name, len(names))
-        t_ns, can_id, sent = round(message.timestamp * 1e9), raw_can_id(message), not message.is_rx
-        if message.is_fd:
-            flags = message.bitrate_switch * BIT_RATE_SWITCH + message.error_state_indicator * ERROR_STATE
-            row = len(frames) // FRAME.itemsize
-            fd.append(FdFrame(row, t_ns, can_id, flags, bytes(message.data), number, sent))
-        else:
-            data = bytes(message.data[:8])
-            frames += PACK_FRAME(t_ns, can_id, min(message.dlc, 8), number, SENT if sent else 0, data)
-    return CandumpBlock(np.frombuffer(frames, dtype=FRAME), tuple(names), fd=tuple(fd))
+        rows.append(packed(message, round(message.timestamp * 1e9), names.setdefault(name, len(names))))
+    return gathered(rows, tuple(names))
 
 
 def message(
@@ -89,9 +78,3 @@ def message(
         bitrate_switch=bool((fd_flags or 0) & BIT_RATE_SWITCH),
         error_state_indicator=bool((fd_flags or 0) & ERROR_STATE),
     )
-
-
-def block_messages(block: CandumpBlock) -> Iterator[can.Message]:
-    """Return all frames of a block as messages, CAN FD frames in their order."""
-    for t_ns, can_id, length, data, interface, sent, fd_flags in block.in_order():
-        yield message(t_ns, can_id, length, data, block.names[interface], sent, fd_flags)

@@ -3,18 +3,16 @@ are not frames are counted: drop messages and, by reason, bad lines. The inverse
 
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
 from tipforce.core import core
-from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FRAME, MAX_CHANNELS, PACK_FRAME, SENT, FrameArray
 from tipforce.host.frames.frame_block import BIT_RATE_SWITCH, ERROR_STATE, LENGTHS, CandumpBlock, FdFrame
 from tipforce.host.logs.notes import DROPPED, FD, NO_LINE, BadLine, LogNotes
 
-_CHUNK_BYTES = 1 << 18
 _ROOM_BYTES = 65_536 * FRAME.itemsize
 _LAST_NS = (1 << 63) - 1  # in the year 2262
 
@@ -31,10 +29,6 @@ _LOG_FD_DATA = re.compile(r"#([0-9A-Fa-f])((?:[0-9A-Fa-f]{2}\.?)*)")
 _SCREEN_DATA = re.compile(r"\s*((?:[0-9A-Fa-f]{2}(?:\s|$))*)\s*(ERRORFRAME|'.*')?\s*")
 _DROPS = r"\s*DROPCOUNT: dropped (\d+) CAN frames?"
 _COLOUR = r"\x1b\[[0-9;]*m"
-
-
-class BadLineError(InputError):
-    """The first bad line of a text that is read strictly."""
 
 
 class CandumpParser:
@@ -65,12 +59,8 @@ class CandumpParser:
             return self._frame(line)
         except ValueError as reason:
             bad = BadLine(notes.lines, line.rstrip("\r\n"), str(reason))
-            if notes.strict or notes.first_bad is None:
-                notes.first_bad_line = bad
-            if notes.strict:
-                raise BadLineError(str(bad)) from None
-            notes.note_bad(bad.reason, str(bad))
-            return None
+        notes.note_bad(bad.reason, bad)
+        return None
 
     def _frame(self, line: str) -> tuple[bytes, bool] | FdFrame | None:
         """Return as ``frame``. ValueError: the reason."""
@@ -183,26 +173,6 @@ class CandumpParser:
         self.notes.timed &= self._timed
         self._room, self.count, self.fd, self._timed = bytearray(), 0, [], True
         return block
-
-
-def text_blocks(read: Callable[[int], bytes | None], parser: CandumpParser) -> Iterator[CandumpBlock]:
-    """Yield blocks of frames from what ``read(bytes)`` returns, until that is nothing, in bounded memory. Raises
-    BadLineError at a bad line if ``parser`` is strict, after the frames before it."""
-    rest, ended = b"", False
-    while not ended:
-        chunk = read(_CHUNK_BYTES) or b""
-        ended = not chunk
-        text = bytearray(rest + chunk)
-        end = text.rfind(b"\n") + 1
-        if ended or len(text) - end > _CHUNK_BYTES:  # the last line, or no text
-            end = len(text)
-        rest = bytes(text[end:])
-        try:
-            yield from parser.gather(text, 0, end)
-        except BadLineError:
-            yield parser.take()
-            raise
-        yield parser.take()
 
 
 def _identifier(text: str) -> int:

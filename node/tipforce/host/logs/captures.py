@@ -11,7 +11,8 @@ from typing import Any, NamedTuple, TypeAlias
 
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.errors import EnvironmentLackError, InputError, LogError
-from tipforce.host.frames.frame_array import PACK_FRAME, FrameArray
+from tipforce.host.frames.frame_array import PACK_FRAME
+from tipforce.host.frames.frame_block import BIT_RATE_SWITCH, ERROR_STATE, CandumpBlock, FdFrame
 from tipforce.host.logs.lines import MOST_CHUNK_BYTES, Expansion, open_file, row_blocks, unpacked_chunk
 from tipforce.host.logs.notes import FD, LogNotes
 
@@ -37,7 +38,7 @@ _File: TypeAlias = "BufferedReader[FileIO]"
 _Packet = tuple[int, _Interface, bytes]  # t_ns
 
 
-def pcap_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
+def pcap_blocks(path: Path, notes: LogNotes) -> Iterator[CandumpBlock]:
     """Yield blocks of frames; other packets and a truncated file are noted as bad. Raises InputError for the file."""
     with BufferedReader(open_file(path)) as file:
         magic = int.from_bytes(file.peek(4)[:4], "little")
@@ -46,7 +47,7 @@ def pcap_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
         yield from row_blocks(path, (_packet_row(packet, path, notes) for packet in packets), notes)
 
 
-def _packet_row(packet: _Packet, path: Path, notes: LogNotes) -> bytes:
+def _packet_row(packet: _Packet, path: Path, notes: LogNotes) -> bytes | FdFrame:
     t_ns, interface, data = packet
     is_fd, is_can = False, interface.link == SOCKETCAN
     if interface.link in {COOKED, COOKED_2}:
@@ -57,7 +58,8 @@ def _packet_row(packet: _Packet, path: Path, notes: LogNotes) -> bytes:
         can_id, length, flags = _SOCKETCAN_HEAD.unpack_from(data)
         if is_fd or flags & _FD_FLAG or len(data) == _FD_BYTES:
             notes.skip(FD)
-            return b""
+            data = data[8 : 8 + min(length, 64)]
+            return FdFrame(0, t_ns, can_id, flags & (BIT_RATE_SWITCH | ERROR_STATE), data, interface.channel, False)
         if length <= 8 and 0 <= t_ns < 1 << 63:
             payload = b"" if can_id & REMOTE_FLAG else data[8 : 8 + length]
             return PACK_FRAME(t_ns, can_id, length, interface.channel, 0, payload)
@@ -142,7 +144,7 @@ _REST = {0: struct.Struct(">I???B8s"), 1: struct.Struct("<I???B8s")}
 _CDR_HEADER = 4
 
 
-def mcap_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
+def mcap_blocks(path: Path, notes: LogNotes) -> Iterator[CandumpBlock]:
     """Yield blocks of frames in the order of the file. A damaged file is noted as bad. Raises EnvironmentLackError
     without the package mcap, LogError for a file that has no CAN frames."""
     try:

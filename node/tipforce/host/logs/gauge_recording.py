@@ -11,7 +11,7 @@ from tipforce.errors import InputError
 from tipforce.fingertip.source import convert
 from tipforce.host.configuration.measurements import read_measurements
 from tipforce.host.decoding.decoder import Decoder
-from tipforce.host.logs.candump import CandumpParser, text_blocks
+from tipforce.host.logs.reader import open_log
 from tipforce.sources.replay import ReplaySource
 
 _ENDS_16, _ENDS_24 = (-0x8000, 0x7FFF), (-0x800000, 0x7FFFFF)
@@ -71,9 +71,9 @@ def _from_log(path: str, node_id: int | None) -> tuple[FloatArray, FloatArray, N
     decoder = Decoder()
     readings: dict[int, list[tuple[FloatArray, FloatArray]]] = {}
     names = ("SG1", "SG2", "SG3", "stale", "fault")
-    with open(path, "rb") as file:
-        for block in text_blocks(file.read, CandumpParser()):
-            for (sender, _message), samples in decoder.decode(block.frames, names).items():
+    with open_log(path) as log:
+        for frames in log:
+            for (sender, _message), samples in decoder.decode(frames, names).items():
                 columns = samples.columns
                 if all(name in columns for name in names):
                     strain = np.column_stack([columns[name] for name in names[:3]]).astype(np.float64)

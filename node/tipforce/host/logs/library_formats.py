@@ -12,9 +12,8 @@ from typing import Any
 
 import can
 
-from canopen_device.can_frame import raw_can_id
 from tipforce.errors import EnvironmentLackError, LogError, TipforceError
-from tipforce.host.frames.frame_array import PACK_FRAME, SENT, FrameArray
+from tipforce.host.frames.frame_block import CandumpBlock, FdFrame, packed
 from tipforce.host.logs.lines import BoundedLines, Expansion, decompressed, open_file, row_blocks, unpacked_chunk
 from tipforce.host.logs.notes import FD, UNREADABLE, LogNotes, suffix_of
 
@@ -24,7 +23,7 @@ _LONGEST_OBJECT = 1 << 20
 _COMPUTED = re.compile(r"\bAS\s*\(|\bVIRTUAL\b", re.IGNORECASE)
 
 
-def message_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
+def message_blocks(path: Path, notes: LogNotes) -> Iterator[CandumpBlock]:
     """Yield blocks of at most BLOCK_ROWS frames. A truncated log is noted as bad. Raises LogError for a file that is
     not of the format in its name, EnvironmentLackError for a missing package."""
     try:
@@ -115,16 +114,12 @@ class _BlfReader(can.BLFReader):
             place += size
 
 
-def _row(path: Path, notes: LogNotes, message: can.Message) -> bytes:
-    if message.is_fd:
-        notes.skip(FD)
-        return b""
+def _row(path: Path, notes: LogNotes, message: can.Message) -> bytes | FdFrame:
     name = "can" if message.channel is None else str(message.channel)
     channel = notes.channel(f"can{name}" if name.isdecimal() else name, path)
     if channel is None:
         return b""
+    if message.is_fd:
+        notes.skip(FD)
     # A float has no nanosecond resolution for present times: digits below a microsecond are noise.
-    t_ns = round(message.timestamp * 1e6) * 1000
-    length = message.dlc if message.is_remote_frame else len(message.data)
-    data = b"" if message.is_remote_frame else bytes(message.data[:8])
-    return PACK_FRAME(t_ns, raw_can_id(message), min(length, 8), channel, 0 if message.is_rx else SENT, data)
+    return packed(message, round(message.timestamp * 1e6) * 1000, channel)

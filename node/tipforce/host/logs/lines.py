@@ -2,6 +2,7 @@
 as blocks of whole lines, also of a file that is still growing, or stdin. gzip and zstd are streams, the chunks of MCAP
 and the containers of BLF are unpacked at once."""
 
+import math
 import os
 import select
 import sys
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from tipforce.errors import EnvironmentLackError, InputError, LogError, TipforceError
-from tipforce.host.frames.frame_array import FRAME, FrameArray
+from tipforce.host.frames.frame_block import CandumpBlock, FdFrame, gathered
 from tipforce.host.logs.notes import NO_LINE, UNREADABLE, LogNotes
 
 MOST_RATIO, FREE_BYTES = 200, 256 << 20
@@ -195,24 +196,25 @@ _BOM = b"\xef\xbb\xbf"
 _KEPT_BYTES = 1 << 24
 
 
-def row_blocks(path: Path, rows: Iterator[bytes], notes: LogNotes) -> Iterator[FrameArray]:
-    """Yield the frames that ``rows`` packs, in blocks. Any error of a library at a damaged file is noted as bad."""
+def row_blocks(path: Path, rows: Iterator[bytes | FdFrame], notes: LogNotes) -> Iterator[CandumpBlock]:
+    """Yield the frames of ``rows`` in blocks. Any error of a library at a damaged file is noted as bad."""
     ended = False
     while not ended:
-        packed, ended, failure = bytearray(), True, None
+        some, ended, failure = list[bytes | FdFrame](), True, None
         try:
             for row in islice(rows, BLOCK_ROWS):
                 ended = False
-                packed += row
+                some.append(row)
         except Exception as error:  # each library raises various ones
             failure = error
-        if packed:
-            yield np.frombuffer(packed, dtype=FRAME)
+        block = gathered(some, tuple(notes.channels), notes.timed)
+        if len(block):
+            yield block
         if isinstance(failure, TipforceError):
             raise failure
         if failure is not None:
             notes.note_bad(UNREADABLE, f"{path}: truncated: {failure or type(failure).__name__}")
-            ended = not packed
+            ended = not len(block)
 
 
 def open_file(path: Path) -> FileIO:
@@ -228,17 +230,19 @@ class LineBlocks:
     """Yield blocks of whole lines as (text, begin, end), the lines ``text[begin:end]``, in memory that is reused.
 
     Lines above BLOCK_BYTES and truncated data are noted as bad. ``source`` None is stdin; ``follow`` waits at the end
-    of a file, and restarts a shorter one; ``stop`` ends both by True: a file at its end, stdin after 0.5 s. ``live``: a
-    consumer waits for each block. ``part``: first byte and end, both of ``line_borders``."""
+    of a file, and restarts a shorter one; ``stop`` ends both by True: a file at its end, stdin after 0.5 s; so does
+    ``timeout_s`` without anything. ``live``: a consumer waits for each block. ``part``: first byte and end, both of
+    ``line_borders``."""
 
     def __init__(
         self, source: Path | None, notes: LogNotes, follow: bool = False, part: tuple[int, int | None] = (0, None),
-        stop: Callable[[], bool] | None = None,
+        stop: Callable[[], bool] | None = None, timeout_s: float | None = None,
     ) -> None:  # fmt: skip
         """Open the source. Raises InputError if that fails, EnvironmentLackError if zstd is not installed."""
         self._place = "stdin" if source is None else str(source)
         self._file = FileIO(sys.stdin.fileno(), closefd=False) if source is None else open_file(source)
-        if source is None:
+        is_pipe = source is None or not source.is_file()
+        if is_pipe:
             with suppress(ImportError, AttributeError, OSError):  # Linux: a pipe's buffer of a whole block
                 import fcntl
 
@@ -250,10 +254,11 @@ class LineBlocks:
             raise
         self._notes = notes
         self._follow = follow and self._readable is self._file
-        self.live = source is None or self._follow
+        self.live = is_pipe or self._follow
         self._stop = stop or (lambda: False)
         self._end_s: float | None = None
-        self._waits = source is None and self._readable is self._file and stop is not None
+        self._timeout_s = math.inf if timeout_s is None else timeout_s
+        self._waits = self._readable is self._file and bool(timeout_s or (source is None and stop))
         self._broken = False
         self._start, self._end = part
         if self._start:
@@ -326,13 +331,16 @@ class LineBlocks:
             return 0
 
     def _wait(self) -> bool:
+        silent_s = time.monotonic() + self._timeout_s
         while True:
             if self._end_s is None or not self._stop():
                 self._end_s = time.monotonic() + _LAST_S
             elif time.monotonic() > self._end_s:
                 return False
-            if select.select([self._file], [], [], _POLL_S)[0]:
+            if select.select([self._file], [], [], min(_POLL_S, self._timeout_s))[0]:
                 return True
+            if time.monotonic() >= silent_s:
+                return False
 
     def _too_long(self) -> None:
         text = f"{self._place}: a line of more than {BLOCK_BYTES} bytes is not a line of a log"

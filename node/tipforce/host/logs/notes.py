@@ -28,6 +28,10 @@ EXPECTED = {
 _SHOWN_CHARACTERS = 80
 
 
+class BadLineError(InputError):
+    """The first bad line or record of a log that is read strictly."""
+
+
 @dataclass(frozen=True, slots=True)
 class BadLine:
     """A line that cannot be used: ``reason`` is a key of EXPECTED, ``number`` counts from 1."""
@@ -55,12 +59,11 @@ class LogNotes:
     frames: int = 0
     channels: list[str] = field(default_factory=list)
     bad: dict[str, int] = field(default_factory=dict)
-    first_bad: str | None = None
+    first_bad: BadLine | str | None = None
     skipped: dict[str, int] = field(default_factory=dict)
     timed: bool = True
     extended: int = 0
     """Frames with a 29-bit identifier, which CANopen does not use."""
-    first_bad_line: BadLine | None = None
     lines: int = 0
     goes_on: bool = False
 
@@ -73,9 +76,8 @@ class LogNotes:
     def append(self, other: LogNotes) -> None:
         """Add the notes of the next part of the same log."""
         if self.first_bad is None:
-            line, self.first_bad = other.first_bad_line, other.first_bad
-            if line is not None and self.first_bad == str(line):
-                self.first_bad = str(line.moved(self.lines))
+            bad = other.first_bad
+            self.first_bad = bad.moved(self.lines) if isinstance(bad, BadLine) else bad
         self.frames += other.frames
         self.extended += other.extended
         self.lines += other.lines
@@ -90,13 +92,13 @@ class LogNotes:
         if count:
             self.skipped[what] = self.skipped.get(what, 0) + count
 
-    def note_bad(self, reason: str, text: str) -> None:
-        """Count an unusable line. Raises InputError with ``text`` if the log is read strictly."""
-        if self.strict:
-            raise InputError(text)
-        self.bad[reason] = self.bad.get(reason, 0) + 1
+    def note_bad(self, reason: str, text: BadLine | str) -> None:
+        """Count an unusable line. Raises BadLineError with its text if the log is read strictly."""
         if self.first_bad is None:
             self.first_bad = text
+        if self.strict:
+            raise BadLineError(str(text))
+        self.bad[reason] = self.bad.get(reason, 0) + 1
 
     def channel(self, name: str, place: object = "") -> int | None:
         """Return the number of an interface; None if there are already too many, noted as bad of the log ``place``."""

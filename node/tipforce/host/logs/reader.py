@@ -10,6 +10,7 @@ from pathlib import Path
 from tipforce.core import core
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FrameArray
+from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump import CandumpParser
 from tipforce.host.logs.lines import LineBlocks, first_bytes, open_file
 from tipforce.host.logs.notes import MESSAGE_SUFFIXES, LogNotes, suffix_of
@@ -36,14 +37,15 @@ class LogReader(LogNotes):
         end_ns: int | None = None,
         part: tuple[int, int | None] = (0, None),
         stop: Callable[[], bool] | None = None,
+        timeout_s: float | None = None,
     ) -> None:
         """Open a log by its name and its first bytes; "-" is candump text on stdin.
 
         ``strict`` raises at the first bad line, after the frames before it. ``follow`` waits at the end of a text,
-        until ``stop`` returns True. ``deltas``: of candump -td. ``start_ns`` excludes earlier frames, ``end_ns`` those
-        from then on. ``part``: bytes of a plain text (``line_borders``). Raises InputError for a file that can't be
-        opened, EnvironmentLackError for a missing library; while iterating, InputError for a bad line, and a time
-        selection without timestamps."""
+        until ``stop`` returns True; ``timeout_s`` without more text ends it. ``deltas``: of candump -td. ``start_ns``
+        excludes earlier frames, ``end_ns`` those from then on. ``part``: bytes of a plain text (``line_borders``).
+        Raises InputError for a file that can't be opened, EnvironmentLackError for a missing library; while iterating,
+        InputError for a bad line, and a time selection without timestamps."""
         super().__init__(strict, str(source), goes_on=part[0] > 0)
         path = None if str(source) == STDIN else Path(source)
         self._limits = start_ns, end_ns
@@ -54,7 +56,7 @@ class LogReader(LogNotes):
             # Parts are read side by side; and a thread that waits for a pipe could not be ended.
             ahead = core is not None and path is not None and path.is_file() and not follow and part == (0, None)
             notes = LogNotes(strict, bad=self.bad, skipped=self.skipped) if ahead else self
-            self._lines = LineBlocks(path, notes, follow, part, stop)
+            self._lines = LineBlocks(path, notes, follow, part, stop, timeout_s)
             blocks = _text_blocks(self._lines, notes, deltas)
             self._blocks = self._read_ahead(blocks, notes) if ahead else blocks
         elif kind in {"mcap", "pcap"}:
@@ -68,24 +70,28 @@ class LogReader(LogNotes):
 
     def __iter__(self) -> Iterator[FrameArray]:
         """Yield blocks of frames with start_ns <= t_ns < end_ns, none empty. Raises InputError as ``__init__`` says."""
+        for block in self.blocks():
+            frames = block.frames
+            if self._limits != (None, None):
+                if not self.timed:
+                    raise InputError("the log has no timestamps, so frames cannot be selected by time")
+                frames = within(frames, *self._limits)
+            if len(frames):
+                self.count_special(frames)
+                self.frames += len(frames)
+                yield frames
+
+    def blocks(self) -> Iterator[CandumpBlock]:
+        """Yield all blocks with interface names and CAN FD frames, instead of the iteration; some may be empty."""
         try:
-            for block in self._blocks:
-                frames = block
-                if self._limits != (None, None):
-                    if not self.timed:
-                        raise InputError("the log has no timestamps, so frames cannot be selected by time")
-                    frames = within(block, *self._limits)
-                if len(frames):
-                    self.count_special(frames)
-                    self.frames += len(frames)
-                    yield frames
+            yield from self._blocks
         finally:
             self.close()
 
-    def _read_ahead(self, blocks: Iterator[FrameArray], notes: LogNotes) -> Iterator[FrameArray]:
+    def _read_ahead(self, blocks: Iterator[CandumpBlock], notes: LogNotes) -> Iterator[CandumpBlock]:
         """Yield the blocks, which a thread reads ahead: the core parses without the interpreter's lock."""
 
-        def following() -> tuple[FrameArray | None, int, bool]:
+        def following() -> tuple[CandumpBlock | None, int, bool]:
             return next(blocks, None), len(notes.channels), notes.timed
 
         self._thread = thread = ThreadPoolExecutor(1)
@@ -99,7 +105,7 @@ class LogReader(LogNotes):
                 ready.append(thread.submit(following))
                 yield block
         finally:
-            self.lines, self.first_bad, self.first_bad_line = notes.lines, notes.first_bad, notes.first_bad_line
+            self.lines, self.first_bad = notes.lines, notes.first_bad
 
     @property
     def position(self) -> int:
@@ -129,18 +135,17 @@ def within(frames: FrameArray, start_ns: int | None, end_ns: int | None) -> Fram
     return frames.compress((start_ns is None or t_ns >= start_ns) & (end_ns is None or t_ns < end_ns))
 
 
-def _text_blocks(lines: LineBlocks, notes: LogNotes, deltas: bool) -> Iterator[FrameArray]:
+def _text_blocks(lines: LineBlocks, notes: LogNotes, deltas: bool) -> Iterator[CandumpBlock]:
     parser = CandumpParser(notes, deltas=deltas)
     error: InputError | None = None
     try:
         for text, begin, end in lines:
-            for block in parser.gather(text, begin, end):
-                yield block.frames
+            yield from parser.gather(text, begin, end)
             if lines.live or parser.count + len(parser.fd) >= _BLOCK_FRAMES:
-                yield parser.take().frames
+                yield parser.take()
     except InputError as bad:  # strict: return the frames before it first
         error = bad
-    yield parser.take().frames
+    yield parser.take()
     if error is not None:
         raise error
 

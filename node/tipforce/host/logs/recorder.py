@@ -158,10 +158,11 @@ class PythonCanWriter:
 
     def write(self, block: CandumpBlock) -> None:
         """Append the frames of a block."""
-        from tipforce.host.live.python_can import block_messages
+        from tipforce.host.live.python_can import message
 
-        for message in block_messages(block):
-            self._writer.on_message_received(message)
+        for t_ns, can_id, length, data, interface, sent, fd_flags in block.in_order():
+            name = block.names[interface]
+            self._writer.on_message_received(message(t_ns, can_id, length, data, name, sent, fd_flags))
 
     def close(self) -> None:
         """Write pending frames and close the file. Raises OSError."""
