@@ -16,7 +16,7 @@ from canopen_device import types
 from canopen_device.eds.description import Entry
 from canopen_device.eds.load import EdsWarning
 from canopen_device.eds.reader import read_eds
-from canopen_device.errors import InputError
+from canopen_device.errors import InputError, placed
 from canopen_device.machine.cia402 import Drive
 from canopen_device.machine.device import DeviceApplication, Key, SimulatedDevice
 from canopen_device.machine.signals import Signal
@@ -72,11 +72,9 @@ def made_device(
 
 def typed_value(entry: Entry, value: Value) -> Value:
     """Return a value as the entry has it; a text is read as ``sdo write`` reads it. Raises InputError."""
-    try:
+    with placed(f"{entry.place} {entry.name!r}"):
         text = isinstance(value, str) and entry.type.python is not str
         return types.parse_value(entry.letter, str(value)) if text else value
-    except InputError as error:
-        raise InputError(f"{entry.place} {entry.name!r}: {error}") from None
 
 
 def path_of(folder: Path | None, name: str, place: str) -> Path:

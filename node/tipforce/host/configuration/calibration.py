@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canopen_device import types
+from canopen_device.errors import placed
 from tipforce.arrays import FloatArray, floats
 from tipforce.dictionary import indices, table, table_objects
 from tipforce.errors import InputError
@@ -241,10 +242,8 @@ class Calibration:
         """The record of the node (docs/objects.md). Raises InputError for a value that its field cannot hold."""
         content = bytearray()
         for (index, sub, kind), number in zip(table_objects.staged(self.gauges), self.numbers(), strict=True):
-            try:
+            with placed(f"calibration 0x{index:04X}:{sub:02X}"):
                 content += types.encode(kind, number)
-            except InputError as error:
-                raise InputError(f"calibration 0x{index:04X}:{sub:02X}: {error}") from None
         return bytes(content)
 
     def crc32(self) -> int:

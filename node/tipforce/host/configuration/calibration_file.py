@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
+from canopen_device.errors import placed
 from canopen_device.toml_table import convert, read_table
 from tipforce import output_file
 from tipforce.arrays import FloatArray
@@ -105,14 +106,12 @@ def read_file(path: str | Path, fields: Fields) -> tuple[dict[str, Any], str | N
     """The fields of a file by name; its CRC-32; its [fit] table. Raises InputError naming the key and the limits."""
     place = f"calibration {path}"
     content: Any = convert(_file_type(fields), read_table(path, place), place, finite=False)
-    try:
+    with placed(place):
         values = {
             of.name: _value(of, key, unit, cell)
             for of, key, unit in _rows(fields)
             if (cell := getattr(content.calibration, key)) is not None
         }
-    except InputError as error:
-        raise InputError(f"{place}: {error}") from None
     fit = None if content.fit is None else convert(FitTable, content.fit, f"{place}: fit", finite=False)
     return values, content.calibration.crc32, fit
 
@@ -120,10 +119,8 @@ def read_file(path: str | Path, fields: Fields) -> tuple[dict[str, Any], str | N
 def write_file(path: str | Path, fields: Fields, calibration: object, crc32: int, fit: object) -> None:
     """Write a file with the fields of a calibration, the CRC-32 of its record, and its table [fit], None for none.
     Raises InputError for a layout code or a date that the file has no words for, and when the disk refuses."""
-    try:
+    with placed(f"calibration {path}"):
         content = {key: _cell(of, unit, getattr(calibration, of.name)) for of, key, unit in _rows(fields)}
-    except InputError as error:
-        raise InputError(f"calibration {path}: {error}") from None
     date = content.pop("date")
     if not content["tare_drift_microstrain_per_s"]:
         del content["tare_drift_microstrain_per_s"]

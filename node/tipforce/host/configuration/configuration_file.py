@@ -12,6 +12,7 @@ import tomli_w
 
 from canopen_device import types
 from canopen_device.core import codes, communication
+from canopen_device.errors import placed
 from canopen_device.toml_table import convert, read_table
 from canopen_device.types import Value
 from tipforce.dictionary import table
@@ -124,7 +125,7 @@ def read_configuration(
     else:
         stated = list(convert(_File, read_table(path, str(path)), str(path)).objects.items())
     wanted: Configuration = {}
-    try:
+    with placed(str(path)):
         for name, value in stated:
             for entry, single in _single_values(name, value if is_dcf else _numbered(value, node_id), known):
                 if entry.access in ("rw", "wo"):
@@ -133,10 +134,8 @@ def read_configuration(
                     wanted[entry.key] = entry, single
                 elif not is_dcf:  # there it is a fact of the device
                     raise InputError(f"{entry.name} ({entry}) is {entry.access} and cannot be configured")
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    if not wanted:
-        raise InputError(f"{path}: no object is set")
+        if not wanted:
+            raise InputError("no object is set")
     return dict(sorted(wanted.items()))
 
 
@@ -169,10 +168,8 @@ def _single_values(name: str, value: object, objects: DeviceObjects) -> list[tup
 def _typed(entry: Entry[Value], value: object) -> Value:
     kind = types.data_type(entry.type).python
     if isinstance(value, str) and kind is not str:
-        try:
+        with placed(f"{entry.name} ({entry})"):
             return types.parse_value(entry.type, value)
-        except InputError as error:
-            raise InputError(f"{entry.name} ({entry}): {error}") from None
     return value  # type: ignore[return-value]  # entry.encode checks its type
 
 
