@@ -183,10 +183,10 @@ async def apply_configuration_async(sdo: SdoChannel | Blocking, wanted: Configur
     """Apply for asyncio: several nodes are configured at once. Raises as ``apply_configuration``."""
     before = await _present(sdo, wanted)
     try:
-        await _write(sdo, wanted)
+        await _write(sdo, wanted, before)
     except SdoAbortError:
         with contextlib.suppress(SdoAbortError, NoResponseError):
-            await _write(sdo, before)
+            await _write(sdo, before, before)
         raise
 
 
@@ -203,26 +203,20 @@ async def _present(sdo: SdoChannel | Blocking, wanted: Configuration) -> Configu
     return {place: (entry, await sdo.read_async(entry)) for place, entry in sorted(entries.items())}
 
 
-async def _write(sdo: SdoChannel | Blocking, values: Configuration) -> None:
+async def _write(sdo: SdoChannel | Blocking, values: Configuration, before: Configuration) -> None:
     """Write PDO by PDO: switched off, remapped, its other parameters, its COB-ID (7.5.2.36); then all else."""
-
-    async def final(entry: Entry[Value]) -> int:
-        value = values[entry.key][1] if entry.key in values else await sdo.read_async(entry)
-        assert isinstance(value, int)
-        return value
-
+    final = before | values
     for pdo in _pdos(values):
         mapping = pdo + communication.MAPPING
         cob_id, count = _entry(pdo, 1, "I"), _entry(mapping, 0, "B")  # of any device (7.5.2.35)
-        can_id = await final(cob_id)
-        await sdo.write_async(cob_id, can_id | codes.COB_ID_INVALID)
+        _, can_id = final[cob_id.key]
+        await sdo.write_async(cob_id, int(can_id) | codes.COB_ID_INVALID)
         if any(index == mapping for index, _ in values):
-            length = await final(count)
             await sdo.write_async(count, 0)
             for (index, sub), (entry, value) in values.items():
                 if index == mapping and sub:
                     await sdo.write_async(entry, value)
-            await sdo.write_async(count, length)
+            await sdo.write_async(count, final[count.key][1])
         for (index, sub), (entry, value) in values.items():
             if index == pdo and sub != 1:
                 await sdo.write_async(entry, value)
