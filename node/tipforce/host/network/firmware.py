@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -58,7 +59,7 @@ class Firmware:
             raise InputError(f"{path}: {error.strerror}") from error
         except ValueError as error:
             raise InputError(f"{path}: {error}; python -m bench.firmware_image makes one") from None
-        if not image.is_sound(content):  # the node alone checks the signature
+        if image.check(io.BytesIO(content), b"-")[0] != image.WRONG_SIGNATURE:  # the node alone has the key
             raise InputError(f"{path}: the length or the CRC-32 of the image is wrong: the file is damaged")
         return cls(content, header)
 
