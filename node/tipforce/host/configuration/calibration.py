@@ -126,15 +126,9 @@ class Calibration:
 
     @classmethod
     def from_microstrain(
-        cls,
-        matrix: npt.ArrayLike,
-        offset: npt.ArrayLike | None = None,
-        covariance: npt.ArrayLike | None = None,
-        *,
-        noise: npt.ArrayLike | None = None,
-        pull: bool = False,
-        **facts: Any,
-    ) -> Calibration:
+        cls, matrix: npt.ArrayLike, offset: npt.ArrayLike | None = None, covariance: npt.ArrayLike | None = None, *,
+        noise: npt.ArrayLike | None = None, pull: bool = False, **facts: Any,
+    ) -> Calibration:  # fmt: skip
         """A calibration in microstrain: F = matrix (microstrain - offset).
 
         matrix: (3, n), N per microstrain; offset: (n,), None for zero; covariance of the noise: (n, n), or ``noise``,

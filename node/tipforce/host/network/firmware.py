@@ -82,13 +82,9 @@ def node_program(sdo: SdoChannel) -> NodeProgram:
 
 
 def install(
-    bus: Bus,
-    node_id: int,
-    firmware: Firmware,
-    *,
-    allow_downgrade: bool = False,
+    bus: Bus, node_id: int, firmware: Firmware, *, allow_downgrade: bool = False,
     progress: Callable[[int], None] = lambda _bytes: None,
-) -> NodeProgram:
+) -> NodeProgram:  # fmt: skip
     """Install an image and start it; return the program that the node, in PRE-OPERATIONAL, confirmed. ``progress``:
     bytes sent. Raises RefusedError (no slots, product, downgrade, refused, given up), NoResponseError."""
     sdo = bus.sdo(node_id)

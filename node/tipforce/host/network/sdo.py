@@ -72,15 +72,10 @@ class SdoChannel:
     DuplicateNodeError if two nodes respond: ``duplicates`` gets the frames, and the serial number is read."""
 
     def __init__(
-        self,
-        network: Dispatcher | canopen.Network,
-        node_id: int,
-        timeout_s: float = DEFAULT_TIMEOUT_S,
-        retries: int = DEFAULT_RETRIES,
-        deadline_s: float = DEFAULT_DEADLINE_S,
-        clock: Callable[[], float] = time.monotonic,
-        duplicates: DuplicateNodes | None = None,
-    ) -> None:
+        self, network: Dispatcher | canopen.Network, node_id: int, timeout_s: float = DEFAULT_TIMEOUT_S,
+        retries: int = DEFAULT_RETRIES, deadline_s: float = DEFAULT_DEADLINE_S,
+        clock: Callable[[], float] = time.monotonic, duplicates: DuplicateNodes | None = None,
+    ) -> None:  # fmt: skip
         self.node_id = node_id
         self._duplicates = DuplicateNodes() if duplicates is None else duplicates
         self._ended_s = time.monotonic()
@@ -132,14 +127,9 @@ class SdoChannel:
         return finished(self._transfer(Request(index, sub, long), blocks=True))
 
     def download(
-        self,
-        index: int,
-        sub: int,
-        data: bytes,
-        *,
-        progress: Callable[[int], None] | None = None,
+        self, index: int, sub: int, data: bytes, *, progress: Callable[[int], None] | None = None,
         deadline_s: float = 0.0,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Write bytes to an entry (an SDO download). ``progress`` receives the number of bytes acknowledged, in the
         thread that receives frames; ``deadline_s`` is the time for a transfer that takes longer than the channel's."""
         finished(self._transfer(Request(index, sub, False, data, progress, deadline_s), blocks=True))
