@@ -11,12 +11,8 @@ from tipforce.dictionary import objects as od
 from tipforce.dictionary.eds import dcf_text
 from tipforce.dictionary.names import entries
 from tipforce.errors import InputError, SdoAbortError
-from tipforce.host.configuration.configuration_file import (
-    Configuration,
-    apply_configuration,
-    read_configuration,
-    verify_configuration,
-)
+from tipforce.host import apply_configuration, read_configuration, verify_configuration
+from tipforce.host.configuration.configuration_file import Configuration
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.sdo import SdoChannel
 
@@ -101,12 +97,9 @@ def test_a_mapping_by_names_or_numbers_has_its_length(tmp_path: Path) -> None:
         tmp_path, '[objects]\n"tpdo1.mapping" = ["process_value_int16:7", "status", 0x21210008, "process_value:8"]\n'
     )
     assert values(found) == {
-        (0x1A00, 0): 4,
-        (0x1A00, 1): 0x71300710,
-        (0x1A00, 2): 0x21200008,
-        (0x1A00, 3): 0x21210008,
+        (0x1A00, 0): 4, (0x1A00, 1): 0x71300710, (0x1A00, 2): 0x21200008, (0x1A00, 3): 0x21210008,
         (0x1A00, 4): 0x61300820,
-    }
+    }  # fmt: skip
     assert values(read_text(tmp_path, '[objects]\n"tpdo1.mapping" = []\n')) == {(0x1A00, 0): 0}
 
 

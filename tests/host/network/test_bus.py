@@ -261,12 +261,3 @@ def test_another_revision_is_named(connection: Bus, bus: tuple[Bus, FaultyBus]) 
     bus[1].fault = other_revision
     (node,) = find_nodes(connection, [5], WAIT_S)
     assert node.eds == f"no: revision 0x{older:08X}, expected 0x{table.REVISION:08X}"
-
-
-def test_a_dead_bus_is_an_error(connection: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
-        raise can.CanOperationError("network is down")
-
-    monkeypatch.setattr(connection.dispatcher, "send_message", refuse)
-    with pytest.raises(EnvironmentLackError, match="network is down"):
-        find_nodes(connection, [5], WAIT_S)
