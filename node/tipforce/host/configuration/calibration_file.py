@@ -82,14 +82,14 @@ def fit_table(fit: Fit, angle_scatter_deg: float, **facts: object) -> dict[str, 
     """The table [fit]: how the matrix came about, and all that the covariance of an estimate needs. ``facts`` of the
     data: file, rows, lines with bad rows, outliers, readings at or too near to the converter's limit."""
     side = 4 * len(fit.A)
-    table = {
+    return {
         "dof": fit.dof,
         "residual_covariance_microstrain2": (fit.residual_covariance_strain2 * 1e12).tolist(),
         "normal_matrix": fit.N.tolist(),
         "parameter_covariance_microstrain2": (fit.parameter_covariance * 1e12).reshape(side, side).tolist(),
         "matrix_standard_uncertainty_newtons_per_strain": fit.C_uncertainty.tolist(),
         "coverage_factor": fit.coverage_factor,
-        "sigma0": fit.sigma0,
+        **({"sigma0": fit.sigma0} if np.isfinite(fit.sigma0) else {}),
         "condition_number": fit.condition_number,
         "row_equilibrated_condition_number": fit.row_equilibrated_condition_number,
         **facts,
@@ -97,9 +97,6 @@ def fit_table(fit: Fit, angle_scatter_deg: float, **facts: object) -> dict[str, 
         "loss": fit.loss,
         "angle_scatter_deg": angle_scatter_deg,
     }
-    if not np.isfinite(fit.sigma0):
-        del table["sigma0"]
-    return table
 
 
 def read_file(path: str | Path, fields: Fields) -> tuple[dict[str, Any], str | None, FitTable | None]:
