@@ -1,5 +1,8 @@
 """Errors of a device and its files: each message names the place, the value and what is allowed."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class CanopenDeviceError(Exception):
     """Base of every error that this package raises on purpose."""
@@ -7,6 +10,15 @@ class CanopenDeviceError(Exception):
 
 class InputError(CanopenDeviceError):
     """A file, an argument or a value of the user is invalid; the text names it and what is allowed."""
+
+
+@contextmanager
+def placed(place: str) -> Iterator[None]:
+    """Put a place in front of the text of an InputError that the block raises."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{place}: {error}") from None
 
 
 class EnvironmentLackError(CanopenDeviceError):

@@ -2,7 +2,7 @@
 
 from canopen_device.core import codes
 
-from .can_port import STATE_OFF, STATE_PASSIVE, STATE_WARNING, CanPort
+from .can_port import CanPort
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -13,11 +13,7 @@ class MachineCan(CanPort):
     """``can`` is ``machine.CAN(number, bit_rate)``."""
 
     def __init__(self, can: "Any", bit_rate: int) -> None:
-        self._can = can
-        self._states = {
-            can.STATE_WARNING: STATE_WARNING, can.STATE_PASSIVE: STATE_PASSIVE, can.STATE_BUS_OFF: STATE_OFF,
-        }  # fmt: skip
-        super().__init__(bit_rate)
+        super().__init__(bit_rate, can, (can.STATE_WARNING, can.STATE_PASSIVE, can.STATE_BUS_OFF))
 
     def _start(self, bit_rate: int) -> None:
         self._can.deinit()

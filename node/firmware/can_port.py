@@ -18,13 +18,12 @@ _SHOWN = {STATE_ACTIVE: ACTIVE, STATE_WARNING: WARNING, STATE_PASSIVE: 0x30}
 
 
 class CanPort:
-    """One controller. A driver implements ``_start``, ``_next``, ``_put``, and if its ``_can`` lacks them the others.
-    No method waits: ``send`` queues, ``receive`` also passes queued frames to the controller."""
+    """One controller. A driver implements ``_start``, ``_next``, ``_put``, and without a ``can`` of MicroPython the
+    others. No method waits: ``send`` queues, ``receive`` also passes queued frames to the controller."""
 
-    _can: "Any" = None  # a controller of MicroPython
-    _states: "dict[int, int]" = {}  # one of STATE_... by its state; any other is STATE_ACTIVE
-
-    def __init__(self, bit_rate: int) -> None:
+    def __init__(self, bit_rate: int, can: "Any" = None, states: "tuple[int, ...]" = ()) -> None:
+        """``states``: those of ``can`` that are STATE_WARNING, STATE_PASSIVE, STATE_OFF; any other is STATE_ACTIVE."""
+        self._can, self._states = can, states
         self._queue: "list[Frame]" = []
         self._news: "list[Frame]" = []
         self._known = STATE_ACTIVE
@@ -42,7 +41,8 @@ class CanPort:
         raise NotImplementedError
 
     def _state(self) -> int:
-        return self._states.get(self._can.state(), STATE_ACTIVE)
+        state = self._can.state()
+        return STATE_WARNING + self._states.index(state) if state in self._states else STATE_ACTIVE
 
     def receive(self) -> "list[Frame]":
         """Return the frames since the last call, with error frames for changes of the controller's state first."""

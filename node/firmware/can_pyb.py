@@ -2,7 +2,7 @@
 
 from canopen_device.core import codes
 
-from .can_port import STATE_OFF, STATE_PASSIVE, STATE_WARNING, CanPort
+from .can_port import CanPort
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -15,12 +15,8 @@ class PybCan(CanPort):
     """``can`` is ``pyb.CAN(number)``."""
 
     def __init__(self, can: "Any", bit_rate: int) -> None:
-        self._can = can
         self._info = [0] * 8
-        self._states = {
-            can.ERROR_WARNING: STATE_WARNING, can.ERROR_PASSIVE: STATE_PASSIVE, can.BUS_OFF: STATE_OFF,
-        }  # fmt: skip
-        super().__init__(bit_rate)
+        super().__init__(bit_rate, can, (can.ERROR_WARNING, can.ERROR_PASSIVE, can.BUS_OFF))
 
     def _start(self, bit_rate: int) -> None:
         can = self._can

@@ -57,13 +57,6 @@ class Header:
         return self.product >> PRODUCT_SHIFT == product >> PRODUCT_SHIFT
 
 
-def is_sound(content: bytes) -> bool:
-    """Return whether length and CRC-32 of an image are right, with a head that was checked."""
-    header = Header(content)
-    crc = binascii.crc32(content[HEAD_SIZE:], binascii.crc32(content[:CHECKED_SIZE]))
-    return len(content) == HEAD_SIZE + header.length and crc & 0xFFFFFFFF == header.crc
-
-
 class Hmac:
     """HMAC-SHA256 (RFC 2104): MicroPython has no module hmac. The key has 1 to 64 bytes."""
 

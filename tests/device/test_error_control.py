@@ -46,6 +46,11 @@ def test_activate_asks_the_loop_for_the_bit_rate() -> None:
     assert talk.device.requests == [("bit-rate", 250_000, 0x1234)]
 
 
+def test_a_selection_may_begin_again() -> None:
+    vendor, others = "> 7E5#4011000000000000\n", "> 7E5#4155443322000000\n> 7E5#4202000100000000\n"
+    serving().say(2 * vendor + others + "> 7E5#4301000080000000\n< 7E4#4400000000000000")
+
+
 def test_store_and_start_again() -> None:
     store = MemoryStore()
     talk = serving(store=store)

@@ -18,12 +18,9 @@ def changed(store: MemoryStore | None) -> Conversation:
     """A node with one setting of each area changed: 1017h, 1800h:1, 6000h, 6001h; and 2000h, which no area holds."""
     talk = booted(store)
     for kind, index, sub, value in (
-        ("H", 0x1017, 0, 500),
-        ("I", 0x1800, 1, 0x400001AA),
-        ("H", 0x6000, 0, 7),
-        ("f", 0x6001, 0, 1.25),
+        ("H", 0x1017, 0, 500), ("I", 0x1800, 1, 0x400001AA), ("H", 0x6000, 0, 7), ("f", 0x6001, 0, 1.25),
         ("B", 0x2000, 0, 9),
-    ):
+    ):  # fmt: skip
         assert talk.put(kind, index, sub, value) == 0
     return talk
 

@@ -18,33 +18,6 @@ ProductName=Device
 LSS_Supported=1
 BaudRate_500=1
 """
-MANDATORY = """\
-[1000]
-ParameterName=Device type
-ObjectType=0x7
-DataType=0x0007
-AccessType=ro
-DefaultValue=0x00020192
-[1001]
-ParameterName=Error register
-ObjectType=0x7
-DataType=0x0005
-AccessType=ro
-[1018]
-ParameterName=Identity
-ObjectType=0x9
-SubNumber=2
-[1018sub0]
-ParameterName=Highest
-DataType=0x0005
-AccessType=ro
-DefaultValue=1
-[1018sub1]
-ParameterName=Vendor
-DataType=0x0007
-AccessType=ro
-DefaultValue=0x12
-"""
 
 
 def var(name: str, data_type: int, access: str = "rw", default: str = "", **more: str) -> str:
@@ -59,6 +32,12 @@ def var(name: str, data_type: int, access: str = "rw", default: str = "", **more
 def record(index: str, *subs: str, code: str = "0x9") -> str:
     """A RECORD of entries from ``var``; SubNumber counts them."""
     return f"[{index}]\nParameterName=R{index}\nObjectType={code}\nSubNumber={len(subs)}\n" + "".join(subs)
+
+
+MANDATORY = (
+    var("1000", 7, "ro", "0x00020192") + var("1001", 5, "ro")
+    + record("1018", var("1018sub0", 5, "ro", "1"), var("1018sub1", 7, "ro", "0x12", ParameterName="Vendor"))
+)  # fmt: skip
 
 
 def pdo(index: int, cob_id: str, kind: int, *mapped: int, event_ms: int = 0, inhibit: int = 0) -> str:

@@ -229,12 +229,10 @@ def test_dummy_usage_decides_what_an_rpdo_may_skip(tmp_path: Path, allowed: int)
 def test_a_dcf_names_its_node_and_starts_with_its_values(tmp_path: Path) -> None:
     (tmp_path / "table.bin").write_bytes(bytes(range(20)))
     objects = (
-        var("2000", 6, "rw", "1", ParameterValue="500"),
-        var("2001", 15, "rw", "", UploadFile="table.bin"),
-        var("2002", 6, "ro", "1", ParameterValue="2"),
-        var("1017", 6, "rw", "0", ParameterValue="1000"),
+        var("2000", 6, "rw", "1", ParameterValue="500"), var("2001", 15, "rw", "", UploadFile="table.bin"),
+        var("2002", 6, "ro", "1", ParameterValue="2"), var("1017", 6, "rw", "0", ParameterValue="1000"),
         record("1011", var("1011sub0", 5, "ro", "1"), var("1011sub1", 7, "rw", "1")),
-    )
+    )  # fmt: skip
     found = sound(tmp_path, DCF + text(*objects), None, "axis.dcf")
     assert (found.node_id, found.node_name, found.bit_rate) == (11, "axis", 500_000)
     talk = Talk(found, MemoryStore())

@@ -227,12 +227,10 @@ def test_encodings(tmp_path: Path) -> None:
     content = text(var("2000", 9, "rw", "Grüße °C"))
     assert described(tmp_path, content).warnings == []
     for encoded, said in (
-        (content.encode("cp1252"), "read as Windows-1252"),
-        (content.encode("utf-16"), "UTF-16"),
-        (content.encode("utf-16-le"), "UTF-16"),
-        (content.encode("utf-16-be"), "UTF-16"),
+        (content.encode("cp1252"), "read as Windows-1252"), (content.encode("utf-16"), "UTF-16"),
+        (content.encode("utf-16-le"), "UTF-16"), (content.encode("utf-16-be"), "UTF-16"),
         (b"\xfe\xff" + content.encode("utf-16-be"), "UTF-16"),
-    ):
+    ):  # fmt: skip
         found = described(tmp_path, encoded)
         assert [said in line for line in found.warnings] == [True]
         assert found.find(0x2000).default == "Grüße °C"

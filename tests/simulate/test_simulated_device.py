@@ -43,7 +43,7 @@ def test_values_by_index_and_name(tmp_path: Path) -> None:
     device["P2002"] = "Grüße"
     assert device[0x2002] == "Grüße"
     device["R2100/P2100sub1"] = -4
-    assert device[0x2100, 1] == device["P2100sub1"] == -4
+    assert device[0x2100, 1] == device["P2100sub1"] == device["r2100:1"] == -4
     assert "P2000" in device
     assert 0x2999 not in device
     for key, message in (

@@ -79,9 +79,7 @@ class LssSlave:
 
     def _select(self, part: int, number: int) -> None:
         """Switch state selective: four consecutive numbers must match those of 1018h."""
-        self._matched = self._matched + 1 if self._matched == part and number == self._identity(part) else 0
-        if part == 0 and self._matched == 0 and number == self._identity(0):
-            self._matched = 1
+        self._matched = part + 1 if number == self._identity(part) and part in (0, self._matched) else 0
         if self._matched == 4:
             self._matched = 0
             self._configuring = True
@@ -112,9 +110,7 @@ class LssSlave:
         """Check vendor, product, revision low and high, serial low and high in this order; each is a condition."""
         own = self._identity((0, 1, 2, 2, 3, 3)[part])
         holds = number == own if part < 2 else number <= own if part % 2 == 0 else own <= number
-        if part == 0:
-            self._identified = 0
-        self._identified = self._identified + 1 if holds and self._identified == part else 0
+        self._identified = part + 1 if holds and part in (0, self._identified) else 0
         if self._identified == 6:
             self._identified = 0
             self._answer(codes.LSS_IDENTIFIED)

@@ -93,11 +93,9 @@ class Device:
     requests a switch of the bus (CiA 305, 6.4.4), ("bus-restart", 0, 0) a restart after bus-off."""
 
     def __init__(
-        self,
-        od: "ObjectDictionary",
-        save: "Callable[[str, bytes], bool] | None" = None,
+        self, od: "ObjectDictionary", save: "Callable[[str, bytes], bool] | None" = None,
         load: "Callable[[str], bytes | None] | None" = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.od = od
         self.node_id = od.node_id
         self.now_us = 0

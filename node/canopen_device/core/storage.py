@@ -31,11 +31,9 @@ class Storage:
     clears 1020h, in the store too, unless 1020h was written after the last change (7.5.2.21)."""
 
     def __init__(
-        self,
-        device: "Device",
-        save: "Callable[[str, bytes], bool] | None",
+        self, device: "Device", save: "Callable[[str, bytes], bool] | None",
         load: "Callable[[str], bytes | None] | None",
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._device = device
         self._save = save
         self._load = load

@@ -14,6 +14,7 @@ READ_ONLY, CONSTANT = "ro", "const"
 _NUMERIC = re.compile(
     r"(?:0[xX]([0-9a-fA-F]{1,4})|([0-9a-fA-F]{1,4})[hH])(?:\s*[:./]\s*(?:0[xX])?([0-9a-fA-F]{1,2})[hH]?)?"
 )
+COUNTED = re.compile(r"(.+):(\d+)")  # an object by its name, and a sub-index
 MOST_ENTRIES = 100_000
 """Entries of a device: large devices have some thousands; few lines with CompactSubObj and CompactPDO count many."""
 
@@ -126,7 +127,7 @@ class Description:
 
     def find(self, key: int | tuple[int, int] | str) -> Entry:
         """The entry of an index (its only or first value), (index, sub), "0x6064", "6041h:00", or a name in any case
-        ("Object/Entry" for a record). Raises InputError with the nearest names, or those of several entries."""
+        ("Object/Entry" for a record, "Object:3"). Raises InputError with the nearest names, or those of several."""
         if not isinstance(key, str):
             return _numbered(self, key, None) if isinstance(key, int) else _numbered(self, *key)
         if match := _NUMERIC.fullmatch(key.strip()):
@@ -135,6 +136,10 @@ class Description:
         named = known.get(folded(key), [])
         if len(named) == 1:
             return named[0]
+        if match := COUNTED.fullmatch(key.strip()):
+            indices = [index for index, each in self.objects.items() if folded(each.name) == folded(match[1])]
+            if len(indices) == 1:
+                return _numbered(self, indices[0], int(match[2]))
         if named:
             shown = ", ".join(entry.place for entry in named[:4]) + (", ..." if len(named) > 4 else "")
             raise InputError(f"{key!r} names {len(named)} entries of {self.path.name}: {shown}; write one of these")

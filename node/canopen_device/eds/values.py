@@ -126,7 +126,7 @@ def _integer(kind: DataType, text: str, node_id: int) -> tuple[int, bool, str]:
     if low <= value <= high:
         return value, has_node_id, remark
     bits = 8 * (kind.size or 0)
-    wrapped = (value + (1 << bits - 1)) % (1 << bits) - (1 << bits - 1) if low < 0 else value % (1 << bits)
+    wrapped = (value - low) % (1 << bits) + low
     if kind.letter != "?" and -(1 << bits - 1) <= value < 1 << bits:  # the same bits with the other sign
         as_bits = "x" in text.lower() and low < 0
         return wrapped, has_node_id, remark if as_bits else f"not in {kind.name}; read as {wrapped}"

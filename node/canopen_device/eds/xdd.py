@@ -9,16 +9,7 @@ from xml.sax.saxutils import quoteattr
 from canopen_device.core import communication
 from canopen_device.core.object_dictionary import RPDO, TPDO
 from canopen_device.eds.description import DOMAIN, VAR, Description, Entry, Object
-from canopen_device.eds.sections import (
-    KEYS,
-    MOST_LINES,
-    EdsFile,
-    Findings,
-    Section,
-    add_key,
-    lists_of,
-    open_section,
-)
+from canopen_device.eds.sections import KEYS, MOST_LINES, EdsFile, Findings, Section, add_key, lists_of, open_section
 from canopen_device.eds.standard import PDOS
 from canopen_device.errors import InputError
 from canopen_device.types import Value

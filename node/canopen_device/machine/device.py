@@ -12,7 +12,7 @@ from canopen_device.core import codes, communication, emcy
 from canopen_device.core.node import Application, Device
 from canopen_device.eds.description import Description, Entry
 from canopen_device.eds.load import Load, Save, core_value, device_of, python_value
-from canopen_device.errors import InputError
+from canopen_device.errors import InputError, placed
 from canopen_device.machine.signals import Driver, Signal
 from canopen_device.types import Value
 
@@ -135,13 +135,11 @@ class SimulatedDevice:
 
     def set_value(self, entry: Entry, value: Value) -> None:
         """Set the value of an entry, read-only ones too. Raises InputError for a value that is not of its type."""
-        try:
+        with placed(f"{entry.place} {entry.name!r}"):
             if entry.letter != "s":  # a text outside ASCII is held as Latin-1
                 types.encode(entry.letter, value)
             elif not isinstance(value, str):
                 raise InputError(f"{value!r} is not VISIBLE_STRING: allowed is text")
-        except InputError as error:
-            raise InputError(f"{entry.place} {entry.name!r}: {error}") from None
         key, now = entry.index << 8 | entry.sub, core_value(entry.letter, value)
         if self.core.od.values[key] != now:
             self.core.od.values[key] = now

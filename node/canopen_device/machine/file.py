@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from canopen_device.errors import InputError
+from canopen_device.errors import InputError, placed
 from canopen_device.machine import signals
 from canopen_device.machine.device import EMCY, SILENT, SLOW, WRONG_TOGGLE, Key, SimulatedDevice
 from canopen_device.machine.running import made_device
@@ -66,10 +66,8 @@ def read_machine(path: str | Path) -> list[SimulatedDevice]:
         raise InputError(f"{place}: no device; write [[device]] with eds and node_id")
     folder, made = Path(path).resolve().parent, []
     for number, part in enumerate(machine.device, 1):
-        try:
+        with placed(f"{place}: device[{number}]"):
             made.append(_device(part, folder))
-        except InputError as error:
-            raise InputError(f"{place}: device[{number}]: {error}") from None
     check_node_ids(made, f"{place}: ")
     return made
 

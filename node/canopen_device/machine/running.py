@@ -16,13 +16,13 @@ from canopen_device import types
 from canopen_device.eds.description import Entry
 from canopen_device.eds.load import EdsWarning
 from canopen_device.eds.reader import read_eds
-from canopen_device.errors import InputError
+from canopen_device.errors import InputError, placed
 from canopen_device.machine.cia402 import Drive
 from canopen_device.machine.device import DeviceApplication, Key, SimulatedDevice
 from canopen_device.machine.signals import Signal
 from canopen_device.paths_below import below
 from canopen_device.running import loop
-from canopen_device.running.open_bus import PythonCanPort
+from canopen_device.running.open_bus import PythonCanPort, open_bus
 from canopen_device.running.store import FileStore
 from canopen_device.types import Value
 
@@ -72,11 +72,9 @@ def made_device(
 
 def typed_value(entry: Entry, value: Value) -> Value:
     """Return a value as the entry has it; a text is read as ``sdo write`` reads it. Raises InputError."""
-    try:
+    with placed(f"{entry.place} {entry.name!r}"):
         text = isinstance(value, str) and entry.type.python is not str
         return types.parse_value(entry.letter, str(value)) if text else value
-    except InputError as error:
-        raise InputError(f"{entry.place} {entry.name!r}: {error}") from None
 
 
 def path_of(folder: Path | None, name: str, place: str) -> Path:
@@ -138,15 +136,12 @@ def simulated_devices(devices: Sequence[SimulatedDevice], bus: Any = None) -> It
 
 
 def _connection(bus: Any) -> tuple[dict[str, Any], can.BusABC, bool]:
-    from canopen_device.running.open_bus import open_bus
-
-    connected, options = None, {}
     if bus is None:
         options = {"interface": "virtual", "channel": f"simulated-device-{os.getpid()}-{next(_numbers)}"}
     elif isinstance(bus, str):
         options = {"interface": "socketcan", "channel": bus}
     elif isinstance(bus, dict):
-        return dict(bus), open_bus(bus), True
+        options = dict(bus)
     else:
         network = getattr(bus, "network", bus)  # of a host's object that holds the network
         connected = getattr(network, "bus", network)  # of canopen.Network
@@ -154,8 +149,8 @@ def _connection(bus: Any) -> tuple[dict[str, Any], can.BusABC, bool]:
             allowed = "a can.Bus, a connected canopen.Network, an object with one as `network`, a name"
             raise InputError(f"bus {bus!r}: allowed are {allowed}")
         options = _options_of(connected)
-    if connected is not None and not options:
-        return {}, connected, False
+        if not options:
+            return {}, connected, False
     return options, open_bus(options), True
 
 

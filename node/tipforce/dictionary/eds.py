@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from canopen_device import types
-from canopen_device.eds.sections import lists_of
+from canopen_device.eds.sections import BIT_RATES_KBIT_S, lists_of
+from canopen_device.errors import placed
 from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.names import entries, objects
@@ -16,7 +16,6 @@ from tipforce.errors import InputError
 if TYPE_CHECKING:
     from tipforce.dictionary.table import Converter
 
-_BIT_RATES_KBIT_S = (10, 20, 50, 125, 250, 500, 800, 1000)
 _DUMMY_TYPES = 7  # data types 0001h to 0007h: canopen wants all of them named
 _REFUSE_WRITE, _REFUSE_READ = 1, 2  # ObjFlags: not to be written on download, not to be read on scan
 
@@ -48,14 +47,13 @@ def dcf_text(
         entry, place = known.get((index, sub)), f"0x{index:04X}:{sub:02X}"
         if entry is None:
             raise InputError(f"{place}: no such object with {n} gauges")
-        try:
+        with placed(f"{place} ({entry.name})"):
             types.encode(entry.type, value)
-        except InputError as error:
-            raise InputError(f"{place} ({entry.name}): {error}") from None
-        low, high = (-math.inf if entry.low is None else entry.low), (math.inf if entry.high is None else entry.high)
-        limited = entry.low is not None or entry.high is not None
-        if limited and isinstance(value, int | float) and not low <= value <= high:  # NaN is within no limits
-            raise InputError(f"{place} ({entry.name}): {value}, allowed are {entry.low} to {entry.high}")
+            low, high = entry.low, entry.high
+            if isinstance(value, int | float) and not (  # NaN is within no limits
+                (low is None or value >= low) and (high is None or value <= high)
+            ):
+                raise InputError(f"{value}, allowed are {low} to {high}")
     return _text(n, simulated, converter, programs, node_id, values)
 
 
@@ -130,7 +128,7 @@ def _general(n: int, simulated: bool, converter: Converter, node_id: int | None)
         f"ProductName=tipforce fingertip, {n} gauges{f', {bits} bits' if bits > 16 else ''}{note}",
         f"ProductNumber=0x{table.product_code(n, simulated, converter):08X}",
         f"RevisionNumber=0x{table.REVISION:08X}", f"OrderCode={eds.removesuffix('.eds')}",
-        *(f"BaudRate_{rate}=1" for rate in _BIT_RATES_KBIT_S),
+        *(f"BaudRate_{rate}=1" for rate in BIT_RATES_KBIT_S),
         "SimpleBootUpMaster=0", "SimpleBootUpSlave=1", "Granularity=8", "DynamicChannelsSupported=0", "CompactPDO=0",
         "GroupMessaging=0", f"NrOfRXPDO={len(table.rpdos())}", f"NrOfTXPDO={len(table.tpdos(n))}",
         "LSS_Supported=1", "",
@@ -138,7 +136,7 @@ def _general(n: int, simulated: bool, converter: Converter, node_id: int | None)
     if node_id is not None:
         lines += [
             "[DeviceComissioning]",  # spelt so in CiA 306
-            f"NodeID=0x{node_id:02X}", f"NodeName=TIP{node_id:02d}", f"Baudrate={_BIT_RATES_KBIT_S[-1]}", "NetNumber=1",
+            f"NodeID=0x{node_id:02X}", f"NodeName=TIP{node_id:02d}", f"Baudrate={BIT_RATES_KBIT_S[-1]}", "NetNumber=1",
             "NetworkName=", "CANopenManager=0", "LSS_SerialNumber=0", "",
         ]  # fmt: skip
     lines += ["[DummyUsage]", *(f"Dummy{k:04d}=0" for k in range(1, _DUMMY_TYPES + 1)), "", "[Comments]", "Lines=3"]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
 from canopen_device import types
+from canopen_device.errors import placed
 from tipforce.dictionary import table
 from tipforce.errors import InputError
 
@@ -56,17 +57,13 @@ class Entry(Generic[T]):
 
     def encode(self, value: T) -> bytes:
         """The bytes of an SDO download of ``value``. Raises InputError where it does not fit the type."""
-        try:
+        with placed(f"{self.name} ({self})"):
             return types.encode(self.type, value)
-        except InputError as error:
-            raise InputError(f"{self.name} ({self}): {error}") from None
 
     def decode(self, data: bytes) -> T:
         """The value of the bytes of an SDO upload. Raises InputError where the length does not fit the type."""
-        try:
+        with placed(f"{self.name} ({self})"):
             return cast(T, types.decode(self.type, data))
-        except InputError as error:
-            raise InputError(f"{self.name} ({self}): {error}") from None
 
     def __str__(self) -> str:
         """``0x2100:03``; both numbers are hexadecimal."""

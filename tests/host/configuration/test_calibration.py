@@ -168,16 +168,11 @@ def test_what_a_file_has_no_words_for_is_not_written(tmp_path: Path, changes: di
 
 
 VERSION_2: dict[str, Any] = {
-    "calibrated_force_newtons": 5.0,
-    "overload_force_newtons": 19.5,
-    "temperature_min_degC": -5.0,
-    "temperature_max_degC": 45.0,
-    "model_uncertainty": 0.0025,
-    "converter_limit_strain": np.array([2e-3, 2.5e-3, 3e-3]),
-    "offset_temperature_strain_per_K": np.array([1e-6, -2e-6, 0.0]),
-    "gain_temperature_per_K": -3e-4,
+    "calibrated_force_newtons": 5.0, "overload_force_newtons": 19.5, "temperature_min_degC": -5.0,
+    "temperature_max_degC": 45.0, "model_uncertainty": 0.0025, "converter_limit_strain": np.array([2e-3, 2.5e-3, 3e-3]),
+    "offset_temperature_strain_per_K": np.array([1e-6, -2e-6, 0.0]), "gain_temperature_per_K": -3e-4,
     "redundancy_limit": 0.0,
-}
+}  # fmt: skip
 
 
 def test_the_fields_of_version_2_survive_record_and_file(tmp_path: Path) -> None:

@@ -11,14 +11,10 @@ from tipforce.dictionary import objects as od
 from tipforce.dictionary.eds import dcf_text
 from tipforce.dictionary.names import entries
 from tipforce.errors import InputError, SdoAbortError
-from tipforce.host.configuration.configuration_file import (
-    Configuration,
-    apply_configuration,
-    read_configuration,
-    verify_configuration,
-)
+from tipforce.host import apply_configuration, read_configuration, verify_configuration
+from tipforce.host.configuration.configuration_file import Configuration
 from tipforce.host.network.bus import Bus
-from tipforce.host.network.sdo import SdoChannel
+from tipforce.host.network.sdo import Request, SdoChannel
 
 NODE = 5
 REMAP = """[objects]
@@ -60,13 +56,14 @@ class Recorder(SdoChannel):
         self.node_id = NODE
         self.writes: list[tuple[int, int, int]] = []
 
-    def upload(self, index: int, sub: int, long: bool = False) -> bytes:  # noqa: ARG002
+    async def _transfer(self, request: Request, *, blocks: bool) -> bytes:
+        assert blocks
+        index, sub = request.index, request.sub
+        if request.data is not None:
+            self.writes.append((index, sub, int.from_bytes(request.data, "little")))
         found = [value for i, s, value in self.writes if (i, s) == (index, sub)]
         size = types.data_type(entries(8, True)[index, sub].type).size or 0
         return (found[-1] if found else 3).to_bytes(size, "little")
-
-    def download(self, index: int, sub: int, data: bytes, **_options: object) -> None:
-        self.writes.append((index, sub, int.from_bytes(data, "little")))
 
 
 def test_names_indices_and_lists(tmp_path: Path) -> None:
@@ -101,12 +98,9 @@ def test_a_mapping_by_names_or_numbers_has_its_length(tmp_path: Path) -> None:
         tmp_path, '[objects]\n"tpdo1.mapping" = ["process_value_int16:7", "status", 0x21210008, "process_value:8"]\n'
     )
     assert values(found) == {
-        (0x1A00, 0): 4,
-        (0x1A00, 1): 0x71300710,
-        (0x1A00, 2): 0x21200008,
-        (0x1A00, 3): 0x21210008,
+        (0x1A00, 0): 4, (0x1A00, 1): 0x71300710, (0x1A00, 2): 0x21200008, (0x1A00, 3): 0x21210008,
         (0x1A00, 4): 0x61300820,
-    }
+    }  # fmt: skip
     assert values(read_text(tmp_path, '[objects]\n"tpdo1.mapping" = []\n')) == {(0x1A00, 0): 0}
 
 

@@ -33,11 +33,9 @@ class Bench(NamedTuple):
         """All that must stay as it is when a node refuses: CRC, record, generation, and what the PDO says."""
         sdo, contact = self.client.sdo, self.client.read()
         return (
-            sdo.read(od.CALIBRATION_ACTIVE_CRC),
-            sdo.read(od.CALIBRATION_ACTIVE_RECORD),
-            sdo.read(od.CALIBRATION_GENERATION),
-            (contact.P_newtons, contact.phi_deg, contact.theta_deg),
-        )
+            sdo.read(od.CALIBRATION_ACTIVE_CRC), sdo.read(od.CALIBRATION_ACTIVE_RECORD),
+            sdo.read(od.CALIBRATION_GENERATION), (contact.P_newtons, contact.phi_deg, contact.theta_deg),
+        )  # fmt: skip
 
 
 @pytest.fixture
@@ -230,17 +228,13 @@ def changed_C(k: int) -> dict[str, object]:
 @pytest.mark.parametrize(
     ("changes", "place"),
     [
-        (changed_C(0), "0x2100:01"),
-        (changed_C(8), "0x2100:09"),
-        ({"offset_strain": np.array([0.0, 1e-6, 0.0])}, "0x2101:02"),
-        ({"serial": 99}, "0x2102:01"),
-        ({"date": 20250101}, "0x2102:02"),
-        ({"layout_code": 3}, "0x2102:04"),
+        (changed_C(0), "0x2100:01"), (changed_C(8), "0x2100:09"),
+        ({"offset_strain": np.array([0.0, 1e-6, 0.0])}, "0x2101:02"), ({"serial": 99}, "0x2102:01"),
+        ({"date": 20250101}, "0x2102:02"), ({"layout_code": 3}, "0x2102:04"),
         ({"covariance_strain2": np.eye(3) * ROUNDING_STRAIN2 + np.eye(3)[::-1] * 1e-17}, "0x2106:03"),
-        ({"tip_radius_m": 0.016}, "0x2110:01"),
-        ({"pull": False}, "0x2110:06"),
+        ({"tip_radius_m": 0.016}, "0x2110:01"), ({"pull": False}, "0x2110:06"),
     ],
-)
+)  # fmt: skip
 def test_verify_names_the_field_and_both_values(bench: Bench, changes: dict[str, object], place: str) -> None:
     lines = bench.client.verify_calibration(beam_calibration(**changes))
     assert any(line.startswith(f"{place}: expected ") and "the node has" in line for line in lines), lines

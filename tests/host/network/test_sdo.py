@@ -18,11 +18,8 @@ from tipforce.dictionary import objects as od
 from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.names import resolve
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError, SdoAbortError
-from tipforce.host.configuration.configuration_file import (
-    Configuration,
-    apply_configuration_async,
-    verify_configuration_async,
-)
+from tipforce.host import apply_configuration_async, verify_configuration_async
+from tipforce.host.configuration.configuration_file import Configuration
 from tipforce.host.network import sdo as module
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.sdo import LONGEST_WAIT_S, Exchange, Request, SdoChannel
@@ -300,12 +297,9 @@ HAND = range(1, 16)
 def settings(node_id: int) -> Configuration:
     """A remapped PDO, and for some fingers one object more than for others."""
     values: dict[str, Any] = {
-        "0x1017:00": 500 + node_id,
-        "0x1800:01": 0x40000180 + node_id,
-        "0x1A00:00": 2,
-        "0x1A00:01": 0x71300710,
+        "0x1017:00": 500 + node_id, "0x1800:01": 0x40000180 + node_id, "0x1A00:00": 2, "0x1A00:01": 0x71300710,
         "0x1A00:02": 0x21200008,
-    }
+    }  # fmt: skip
     if node_id % 3 == 0:
         values["0x1019:00"] = 240
     entries = [(resolve(name, 3), value) for name, value in values.items()]

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canopen_device import types
+from canopen_device.errors import placed
 from tipforce.arrays import FloatArray, floats
 from tipforce.dictionary import indices, table, table_objects
 from tipforce.errors import InputError
@@ -125,15 +126,9 @@ class Calibration:
 
     @classmethod
     def from_microstrain(
-        cls,
-        matrix: npt.ArrayLike,
-        offset: npt.ArrayLike | None = None,
-        covariance: npt.ArrayLike | None = None,
-        *,
-        noise: npt.ArrayLike | None = None,
-        pull: bool = False,
-        **facts: Any,
-    ) -> Calibration:
+        cls, matrix: npt.ArrayLike, offset: npt.ArrayLike | None = None, covariance: npt.ArrayLike | None = None, *,
+        noise: npt.ArrayLike | None = None, pull: bool = False, **facts: Any,
+    ) -> Calibration:  # fmt: skip
         """A calibration in microstrain: F = matrix (microstrain - offset).
 
         matrix: (3, n), N per microstrain; offset: (n,), None for zero; covariance of the noise: (n, n), or ``noise``,
@@ -241,10 +236,8 @@ class Calibration:
         """The record of the node (docs/objects.md). Raises InputError for a value that its field cannot hold."""
         content = bytearray()
         for (index, sub, kind), number in zip(table_objects.staged(self.gauges), self.numbers(), strict=True):
-            try:
+            with placed(f"calibration 0x{index:04X}:{sub:02X}"):
                 content += types.encode(kind, number)
-            except InputError as error:
-                raise InputError(f"calibration 0x{index:04X}:{sub:02X}: {error}") from None
         return bytes(content)
 
     def crc32(self) -> int:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
+from canopen_device.errors import placed
 from canopen_device.toml_table import convert, read_table
 from tipforce import output_file
 from tipforce.arrays import FloatArray
@@ -81,14 +82,14 @@ def fit_table(fit: Fit, angle_scatter_deg: float, **facts: object) -> dict[str, 
     """The table [fit]: how the matrix came about, and all that the covariance of an estimate needs. ``facts`` of the
     data: file, rows, lines with bad rows, outliers, readings at or too near to the converter's limit."""
     side = 4 * len(fit.A)
-    table = {
+    return {
         "dof": fit.dof,
         "residual_covariance_microstrain2": (fit.residual_covariance_strain2 * 1e12).tolist(),
         "normal_matrix": fit.N.tolist(),
         "parameter_covariance_microstrain2": (fit.parameter_covariance * 1e12).reshape(side, side).tolist(),
         "matrix_standard_uncertainty_newtons_per_strain": fit.C_uncertainty.tolist(),
         "coverage_factor": fit.coverage_factor,
-        "sigma0": fit.sigma0,
+        **({"sigma0": fit.sigma0} if np.isfinite(fit.sigma0) else {}),
         "condition_number": fit.condition_number,
         "row_equilibrated_condition_number": fit.row_equilibrated_condition_number,
         **facts,
@@ -96,23 +97,18 @@ def fit_table(fit: Fit, angle_scatter_deg: float, **facts: object) -> dict[str, 
         "loss": fit.loss,
         "angle_scatter_deg": angle_scatter_deg,
     }
-    if not np.isfinite(fit.sigma0):
-        del table["sigma0"]
-    return table
 
 
 def read_file(path: str | Path, fields: Fields) -> tuple[dict[str, Any], str | None, FitTable | None]:
     """The fields of a file by name; its CRC-32; its [fit] table. Raises InputError naming the key and the limits."""
     place = f"calibration {path}"
     content: Any = convert(_file_type(fields), read_table(path, place), place, finite=False)
-    try:
+    with placed(place):
         values = {
             of.name: _value(of, key, unit, cell)
             for of, key, unit in _rows(fields)
             if (cell := getattr(content.calibration, key)) is not None
         }
-    except InputError as error:
-        raise InputError(f"{place}: {error}") from None
     fit = None if content.fit is None else convert(FitTable, content.fit, f"{place}: fit", finite=False)
     return values, content.calibration.crc32, fit
 
@@ -120,10 +116,8 @@ def read_file(path: str | Path, fields: Fields) -> tuple[dict[str, Any], str | N
 def write_file(path: str | Path, fields: Fields, calibration: object, crc32: int, fit: object) -> None:
     """Write a file with the fields of a calibration, the CRC-32 of its record, and its table [fit], None for none.
     Raises InputError for a layout code or a date that the file has no words for, and when the disk refuses."""
-    try:
+    with placed(f"calibration {path}"):
         content = {key: _cell(of, unit, getattr(calibration, of.name)) for of, key, unit in _rows(fields)}
-    except InputError as error:
-        raise InputError(f"calibration {path}: {error}") from None
     date = content.pop("date")
     if not content["tare_drift_microstrain_per_s"]:
         del content["tare_drift_microstrain_per_s"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import msgspec
@@ -12,6 +12,7 @@ import tomli_w
 
 from canopen_device import types
 from canopen_device.core import codes, communication
+from canopen_device.errors import placed
 from canopen_device.toml_table import convert, read_table
 from canopen_device.types import Value
 from tipforce.dictionary import table
@@ -19,7 +20,7 @@ from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.names import describe
 from tipforce.errors import InputError, NoResponseError, SdoAbortError
 from tipforce.host.configuration.device_objects import DeviceObjects, FingertipObjects, Place
-from tipforce.host.network.sdo import Blocking, SdoChannel, finished
+from tipforce.host.network.sdo import SdoChannel, finished
 
 
 def read_settings(
@@ -124,7 +125,7 @@ def read_configuration(
     else:
         stated = list(convert(_File, read_table(path, str(path)), str(path)).objects.items())
     wanted: Configuration = {}
-    try:
+    with placed(str(path)):
         for name, value in stated:
             for entry, single in _single_values(name, value if is_dcf else _numbered(value, node_id), known):
                 if entry.access in ("rw", "wo"):
@@ -133,10 +134,8 @@ def read_configuration(
                     wanted[entry.key] = entry, single
                 elif not is_dcf:  # there it is a fact of the device
                     raise InputError(f"{entry.name} ({entry}) is {entry.access} and cannot be configured")
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    if not wanted:
-        raise InputError(f"{path}: no object is set")
+        if not wanted:
+            raise InputError("no object is set")
     return dict(sorted(wanted.items()))
 
 
@@ -169,31 +168,32 @@ def _single_values(name: str, value: object, objects: DeviceObjects) -> list[tup
 def _typed(entry: Entry[Value], value: object) -> Value:
     kind = types.data_type(entry.type).python
     if isinstance(value, str) and kind is not str:
-        try:
+        with placed(f"{entry.name} ({entry})"):
             return types.parse_value(entry.type, value)
-        except InputError as error:
-            raise InputError(f"{entry.name} ({entry}): {error}") from None
     return value  # type: ignore[return-value]  # entry.encode checks its type
 
 
 def apply_configuration(sdo: SdoChannel, wanted: Configuration) -> None:
     """Write every object; PDO parameters by the procedure of 7.5.2.36. Raises NoResponseError and SdoAbortError. If the
     node rejects one, the previous values are restored as far as the node accepts them."""
-    finished(apply_configuration_async(Blocking(sdo), wanted))
+    finished(apply_configuration_async(sdo, wanted, blocks=True))
 
 
-async def apply_configuration_async(sdo: SdoChannel | Blocking, wanted: Configuration) -> None:
-    """Apply for asyncio: several nodes are configured at once. Raises as ``apply_configuration``."""
-    before = await _present(sdo, wanted)
+async def apply_configuration_async(sdo: SdoChannel, wanted: Configuration, *, blocks: bool = False) -> None:
+    """Apply for asyncio: several nodes are configured at once; ``blocks`` as of ``SdoChannel.read_async``. Raises as
+    ``apply_configuration``."""
+    before = await _present(sdo, wanted, blocks)
     try:
-        await _write(sdo, wanted)
+        for entry, value in _in_order(wanted, before):
+            await sdo.write_async(entry, value, blocks=blocks)
     except SdoAbortError:
         with contextlib.suppress(SdoAbortError, NoResponseError):
-            await _write(sdo, before)
+            for entry, value in _in_order(before, before):
+                await sdo.write_async(entry, value, blocks=blocks)
         raise
 
 
-async def _present(sdo: SdoChannel | Blocking, wanted: Configuration) -> Configuration:
+async def _present(sdo: SdoChannel, wanted: Configuration, blocks: bool) -> Configuration:
     """Return the node's present values of the objects that ``wanted`` changes; of a PDO its whole mapping."""
     entries = {key: entry for key, (entry, _) in wanted.items() if entry.access != "wo"}
     for pdo in _pdos(wanted):
@@ -201,38 +201,26 @@ async def _present(sdo: SdoChannel | Blocking, wanted: Configuration) -> Configu
         entries[pdo, 1] = _entry(pdo, 1, "I")
         if any(index == mapping for index, _ in wanted):
             entries[mapping, 0] = count = _entry(mapping, 0, "B")
-            for sub in range(1, int(await sdo.read_async(count)) + 1):
+            for sub in range(1, int(await sdo.read_async(count, blocks=blocks)) + 1):
                 entries[mapping, sub] = _entry(mapping, sub, "I")
-    return {place: (entry, await sdo.read_async(entry)) for place, entry in sorted(entries.items())}
+    return {place: (entry, await sdo.read_async(entry, blocks=blocks)) for place, entry in sorted(entries.items())}
 
 
-async def _write(sdo: SdoChannel | Blocking, values: Configuration) -> None:
-    """Write PDO by PDO: switched off, remapped, its other parameters, its COB-ID (7.5.2.36); then all else."""
-
-    async def final(entry: Entry[Value]) -> int:
-        value = values[entry.key][1] if entry.key in values else await sdo.read_async(entry)
-        assert isinstance(value, int)
-        return value
-
+def _in_order(values: Configuration, before: Configuration) -> Iterator[tuple[Entry[Value], Value]]:
+    """The writes PDO by PDO: switched off, remapped, its other parameters, its COB-ID (7.5.2.36); then all else."""
+    final = before | values
     for pdo in _pdos(values):
         mapping = pdo + communication.MAPPING
         cob_id, count = _entry(pdo, 1, "I"), _entry(mapping, 0, "B")  # of any device (7.5.2.35)
-        can_id = await final(cob_id)
-        await sdo.write_async(cob_id, can_id | codes.COB_ID_INVALID)
+        _, can_id = final[cob_id.key]
+        yield cob_id, int(can_id) | codes.COB_ID_INVALID
         if any(index == mapping for index, _ in values):
-            length = await final(count)
-            await sdo.write_async(count, 0)
-            for (index, sub), (entry, value) in values.items():
-                if index == mapping and sub:
-                    await sdo.write_async(entry, value)
-            await sdo.write_async(count, length)
-        for (index, sub), (entry, value) in values.items():
-            if index == pdo and sub != 1:
-                await sdo.write_async(entry, value)
-        await sdo.write_async(cob_id, can_id)
-    for (index, _), (entry, value) in values.items():
-        if not _is_pdo(index):
-            await sdo.write_async(entry, value)
+            yield count, 0
+            yield from (write for (index, sub), write in values.items() if index == mapping and sub)
+            yield count, final[count.key][1]
+        yield from (write for (index, sub), write in values.items() if index == pdo and sub != 1)
+        yield cob_id, can_id
+    yield from (write for (index, _), write in values.items() if not _is_pdo(index))
 
 
 def _pdos(values: Configuration) -> list[int]:
@@ -246,7 +234,7 @@ def _entry(index: int, sub: int, letter: str) -> Entry[Value]:
 
 def apply_differences(sdo: SdoChannel, wanted: Configuration) -> Configuration:
     """Apply only what differs on the node, a PDO mapping as a whole; return what was written. Raises as the above."""
-    differing = finished(_differing(Blocking(sdo), wanted))
+    differing = finished(_differing(sdo, wanted, blocks=True))
     mappings = {index for index, _ in differing if communication.is_mapping(index)}
     written = {
         place: (entry, value)
@@ -260,24 +248,26 @@ def apply_differences(sdo: SdoChannel, wanted: Configuration) -> Configuration:
 
 def verify_configuration(sdo: SdoChannel, wanted: Configuration) -> list[dict[str, object]]:
     """Return the differences: object, expected, found; write-only objects cannot be compared and are excluded."""
-    return finished(verify_configuration_async(Blocking(sdo), wanted))
+    return finished(verify_configuration_async(sdo, wanted, blocks=True))
 
 
-async def verify_configuration_async(sdo: SdoChannel | Blocking, wanted: Configuration) -> list[dict[str, object]]:
-    """Verify for asyncio."""
+async def verify_configuration_async(
+    sdo: SdoChannel, wanted: Configuration, *, blocks: bool = False
+) -> list[dict[str, object]]:
+    """Verify for asyncio; ``blocks`` as of ``apply_configuration_async``."""
     differences: list[dict[str, object]] = []
-    for place, present in (await _differing(sdo, wanted)).items():
+    for place, present in (await _differing(sdo, wanted, blocks)).items():
         entry, value = wanted[place]
         shown, expected = types.format_value(entry.type, present), types.format_value(entry.type, value)
         differences.append({"object": f"{entry.name} ({entry})", "expected": expected, "found": shown})
     return differences
 
 
-async def _differing(sdo: SdoChannel | Blocking, wanted: Configuration) -> dict[Place, Value]:
+async def _differing(sdo: SdoChannel, wanted: Configuration, blocks: bool) -> dict[Place, Value]:
     differing: dict[Place, Value] = {}
     for place, (entry, value) in wanted.items():
         if entry.access != "wo":
-            present = await sdo.read_async(entry)
+            present = await sdo.read_async(entry, blocks=blocks)
             if entry.encode(value) != entry.encode(present):
                 differing[place] = present
     return differing

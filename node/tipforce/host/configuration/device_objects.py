@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
@@ -22,7 +21,6 @@ Place = tuple[int, int]
 _NO_SETTING = table.VIEW | table.NOT_STORED | table.STAGED
 _ACTIONS = (communication.ERROR_HISTORY, communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS)
 _CONTROLWORD = 0x6040  # of CiA 402
-_COUNTED = re.compile(r"(.+):(\d+)")
 
 
 class FingertipObjects:
@@ -83,17 +81,8 @@ class EdsObjects:
         return settings
 
     def resolve(self, text: str) -> Entry[Value]:
-        """As ``Description.find``; ``Name:3`` is sub-index 3 of the object ``Name``."""
-        from canopen_device.eds.description import folded
-
-        try:
-            return self._entry(self.described.find(text))
-        except InputError:
-            name, sub = match.groups() if (match := _COUNTED.fullmatch(text.strip())) else ("", "0")
-            named = [index for index, each in self.described.objects.items() if folded(each.name) == folded(name)]
-            if match is None or len(named) != 1:
-                raise
-            return self._entry(self.described.find((named[0], int(sub))))
+        """As ``Description.find``."""
+        return self._entry(self.described.find(text))
 
     def name(self, index: int, sub: int) -> str | None:
         """The ParameterName where it is unique, otherwise the number."""
@@ -101,11 +90,11 @@ class EdsObjects:
         return None if of is None else self._entry(of).name
 
     def _entry(self, of: eds.Entry) -> Entry[Value]:
-        from canopen_device.eds.description import folded
+        from canopen_device.eds.description import COUNTED, folded
 
         parent = self.described.objects[of.index]
         text = parent.name if set(parent.entries) == {0} else f"{parent.name}/{of.name}"
-        name = text if len(self._known.get(folded(text), ())) == 1 and not _COUNTED.fullmatch(text) else of.place
+        name = text if len(self._known.get(folded(text), ())) == 1 and not COUNTED.fullmatch(text) else of.place
         return Entry[Value](
             of.index, of.sub, of.letter, name, "rw" if of.access.startswith("rw") else of.access, of.unit, of.name,
             f"0x{of.index:04X}", table.ADD_NODE_ID if of.has_node_id else 0, of.default, of.low, of.high,

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import msgspec
 import numpy as np
 
+from canopen_device.errors import placed
 from canopen_device.toml_table import convert, read_table
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
@@ -101,11 +102,9 @@ def file_plan(path: str | Path) -> tuple[Step, ...]:
     content = convert(_File, read_table(path, f"plan {path}"), f"plan {path}")
     if content.tare_every < 1:
         raise InputError(f"plan {path}: tare_every = {content.tare_every}: allowed is 1 or more")
-    try:
+    with placed(f"plan {path}"):
         steps = [_step(k + 1, step) for k, step in enumerate(content.step)]
         return _plan(steps, 0 if any(step.mode == "tare" for step in steps) else content.tare_every)
-    except InputError as error:
-        raise InputError(f"plan {path}: {error}") from None
 
 
 def _step(number: int, step: _FileStep) -> Step:

@@ -127,13 +127,9 @@ class Bus:
     ``close`` leaves open, as any not ``owned``. ``timeout_s`` and ``retries``: of every SDO transfer."""
 
     def __init__(
-        self,
-        bus: can.BusABC | canopen.Network,
-        timeout_s: float = DEFAULT_TIMEOUT_S,
-        retries: int = DEFAULT_RETRIES,
-        *,
-        owned: bool = True,
-    ) -> None:
+        self, bus: can.BusABC | canopen.Network, timeout_s: float = DEFAULT_TIMEOUT_S, retries: int = DEFAULT_RETRIES,
+        *, owned: bool = True,
+    ) -> None:  # fmt: skip
         self._timeout_s = checked_time("timeout_s", timeout_s)
         if not isinstance(retries, int) or retries < 0:
             raise InputError(f"retries = {retries!r}: allowed are whole numbers from 0")
@@ -181,13 +177,9 @@ class Bus:
 
     @classmethod
     def open(
-        cls,
-        channel: str | can.BusABC | canopen.Network | None = None,
-        interface: str | None = None,
-        timeout_s: float = DEFAULT_TIMEOUT_S,
-        retries: int = DEFAULT_RETRIES,
-        **bus_options: Any,
-    ) -> Bus:
+        cls, channel: str | can.BusABC | canopen.Network | None = None, interface: str | None = None,
+        timeout_s: float = DEFAULT_TIMEOUT_S, retries: int = DEFAULT_RETRIES, **bus_options: Any,
+    ) -> Bus:  # fmt: skip
         """Open a bus: ``open("can0")``, ``open("can0", "socketcan")``, or an open ``can.Bus`` or ``canopen.Network``,
         which stays open. Names are python-can's; on Linux alone SocketCAN's. Raises EnvironmentLackError."""
         if isinstance(channel, can.BusABC) or hasattr(channel, "add_node"):  # a canopen.Network, which is not imported

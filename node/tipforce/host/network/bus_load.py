@@ -50,13 +50,9 @@ class Budget:
 
 
 def hand_budget(
-    nodes: int,
-    sync_hz: float,
-    pdos: Sequence[str] = ("Contact",),
-    gauges: int = 3,
-    bit_rate: int = DEFAULT_BIT_RATE,
+    nodes: int, sync_hz: float, pdos: Sequence[str] = ("Contact",), gauges: int = 3, bit_rate: int = DEFAULT_BIT_RATE,
     heartbeat_s: float = 1.0,
-) -> Budget:
+) -> Budget:  # fmt: skip
     """Return the bus load of ``nodes`` fingers whose ``pdos`` (names of ``tpdo_messages``) answer ``sync_hz`` SYNCs/s.
     Health is sent by its event timer, once a second. ``heartbeat_s`` 0 means none. Raises InputError."""
     if not (1 <= nodes <= 127 and sync_hz > 0 and bit_rate > 0 and heartbeat_s >= 0):

@@ -47,7 +47,7 @@ class Faults:
 
 
 class Injector:
-    """Inject faults: frames in, frames out when due; ``counts`` has the number of each fault."""
+    """Inject faults: frames in, frames out when due; ``counts`` has the number of each fault so far."""
 
     def __init__(self, faults: Faults, seed: int = 0) -> None:
         self.faults = faults
@@ -104,28 +104,16 @@ class Injector:
         heapq.heappush(self._due, (due_s, next(self._order), frame))
 
 
-class FaultyBus(can.BusABC):
-    """A python-can bus with an Injector; it owns the bus. ``faults`` and ``bus_off`` may be changed at any time. While
-    ``bus_off`` is True, ``send`` and ``recv`` raise can.CanOperationError, and frames that arrive are lost."""
+class FaultyBus(Injector, can.BusABC):
+    """An Injector of what a python-can bus receives; it owns the bus. ``faults`` and ``bus_off`` may be changed at any
+    time. While ``bus_off`` is True, ``send`` and ``recv`` raise can.CanOperationError, and frames are lost."""
 
     def __init__(self, bus: can.BusABC, faults: Faults, seed: int = 0, **options: Any) -> None:
-        self.bus = bus
-        self.bus_off = False
-        self._injector = Injector(faults, seed)
-        self.counts = self._injector.counts
-        """Number of each fault so far."""
+        Injector.__init__(self, faults, seed)
+        self.bus, self.bus_off = bus, False
         self.channel_info = f"faulty {bus.channel_info}"
         self._can_protocol = bus.protocol
-        super().__init__(channel="", **options)
-
-    @property
-    def faults(self) -> Faults:
-        """The present fault probabilities."""
-        return self._injector.faults
-
-    @faults.setter
-    def faults(self, faults: Faults) -> None:
-        self._injector.faults = faults
+        can.BusABC.__init__(self, channel="", **options)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send; raises can.CanOperationError during bus-off."""
@@ -137,13 +125,13 @@ class FaultyBus(can.BusABC):
         while True:
             self._check()
             now_s = time.monotonic()
-            frame = self._injector.take(now_s)
+            frame = self.take(now_s)
             if frame is not None:
                 return message(time.time_ns(), frame[0], len(frame[1]), frame[1], "", False), False
-            waits_s = [t - now_s for t in (deadline_s, self._injector.next_due_s()) if t is not None]
+            waits_s = [t - now_s for t in (deadline_s, self.next_due_s()) if t is not None]
             received = self.bus.recv(max(0.0, min(waits_s)) if waits_s else 0.05)
             if received is not None:
-                self._injector.put((raw_can_id(received), bytes(received.data)), now_s)
+                self.put((raw_can_id(received), bytes(received.data)), now_s)
             elif deadline_s is not None and time.monotonic() >= deadline_s:
                 return None, False
 

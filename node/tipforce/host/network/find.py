@@ -57,11 +57,9 @@ class FoundNode:
 
 
 def find_nodes(
-    connection: Bus,
-    node_ids: Iterable[int],
-    wait_s: float = 1.2,
+    connection: Bus, node_ids: Iterable[int], wait_s: float = 1.2,
     observe: Callable[[FrameArray], object] = lambda _frames: None,
-) -> list[FoundNode]:
+) -> list[FoundNode]:  # fmt: skip
     """Request 1000h of every node-id, listen for ``wait_s`` or until all respond and beat, then identify the nodes; one
     that only beats (STOPPED) is listed. ``observe`` gets the frames. Raises InputError outside 1..127."""
     wanted = set(node_ids)

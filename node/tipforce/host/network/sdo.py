@@ -72,15 +72,10 @@ class SdoChannel:
     DuplicateNodeError if two nodes respond: ``duplicates`` gets the frames, and the serial number is read."""
 
     def __init__(
-        self,
-        network: Dispatcher | canopen.Network,
-        node_id: int,
-        timeout_s: float = DEFAULT_TIMEOUT_S,
-        retries: int = DEFAULT_RETRIES,
-        deadline_s: float = DEFAULT_DEADLINE_S,
-        clock: Callable[[], float] = time.monotonic,
-        duplicates: DuplicateNodes | None = None,
-    ) -> None:
+        self, network: Dispatcher | canopen.Network, node_id: int, timeout_s: float = DEFAULT_TIMEOUT_S,
+        retries: int = DEFAULT_RETRIES, deadline_s: float = DEFAULT_DEADLINE_S,
+        clock: Callable[[], float] = time.monotonic, duplicates: DuplicateNodes | None = None,
+    ) -> None:  # fmt: skip
         self.node_id = node_id
         self._duplicates = DuplicateNodes() if duplicates is None else duplicates
         self._ended_s = time.monotonic()
@@ -104,19 +99,19 @@ class SdoChannel:
 
     def read(self, entry: Entry[T]) -> T:
         """Return the value of an entry. Raises NoResponseError, SdoAbortError, or InputError for a wrong length."""
-        return entry.decode(self.upload(*entry.key, entry.type == _DOMAIN))
+        return finished(self.read_async(entry, blocks=True))
 
     def write(self, entry: Entry[T], value: T) -> None:
         """Write a value. Raises as ``read``, and InputError for a value that the type cannot hold."""
-        self.download(*entry.key, entry.encode(value))
+        finished(self.write_async(entry, value, blocks=True))
 
-    async def read_async(self, entry: Entry[T]) -> T:
-        """Read for asyncio. Raises as ``read``."""
-        return entry.decode(await self._transfer(Request(*entry.key, entry.type == _DOMAIN), blocks=False))
+    async def read_async(self, entry: Entry[T], *, blocks: bool = False) -> T:
+        """Read for asyncio; ``blocks``: the thread waits, for ``finished``. Raises as ``read``."""
+        return entry.decode(await self._transfer(Request(*entry.key, entry.type == _DOMAIN), blocks=blocks))
 
-    async def write_async(self, entry: Entry[T], value: T) -> None:
-        """Write for asyncio. Raises as ``write``."""
-        await self._transfer(Request(*entry.key, data=entry.encode(value)), blocks=False)
+    async def write_async(self, entry: Entry[T], value: T, *, blocks: bool = False) -> None:
+        """Write for asyncio, as ``read_async`` reads. Raises as ``write``."""
+        await self._transfer(Request(*entry.key, data=entry.encode(value)), blocks=blocks)
 
     def __getitem__(self, name: str) -> Value:
         """Return the value of the object called ``name``: ``sdo["calibration.serial"]``, ``sdo["0x2102:01"]``. Raises
@@ -132,14 +127,9 @@ class SdoChannel:
         return finished(self._transfer(Request(index, sub, long), blocks=True))
 
     def download(
-        self,
-        index: int,
-        sub: int,
-        data: bytes,
-        *,
-        progress: Callable[[int], None] | None = None,
+        self, index: int, sub: int, data: bytes, *, progress: Callable[[int], None] | None = None,
         deadline_s: float = 0.0,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Write bytes to an entry (an SDO download). ``progress`` receives the number of bytes acknowledged, in the
         thread that receives frames; ``deadline_s`` is the time for a transfer that takes longer than the channel's."""
         finished(self._transfer(Request(index, sub, False, data, progress, deadline_s), blocks=True))
@@ -354,21 +344,6 @@ class Exchange:
             f"{self._place}: no response after {tries} of {self._channel.timeout_s:g} s; "
             "check its power, bus, bit rate and node-id; `tipforce scan` lists nodes"
         )
-
-
-class Blocking:
-    """The transfers of a channel for a coroutine without an event loop: its thread waits; see ``finished``."""
-
-    def __init__(self, sdo: SdoChannel) -> None:
-        self._sdo = sdo
-
-    async def read_async(self, entry: Entry[T]) -> T:
-        """As ``SdoChannel.read``."""
-        return self._sdo.read(entry)
-
-    async def write_async(self, entry: Entry[T], value: T) -> None:
-        """As ``SdoChannel.write``."""
-        self._sdo.write(entry, value)
 
 
 def finished(work: Coroutine[Any, Any, R]) -> R:
