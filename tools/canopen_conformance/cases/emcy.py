@@ -1,6 +1,7 @@
 """EMCY (CiA 301, 7.2.7), SYNC (7.2.5), TIME and the high-resolution time stamp (7.2.6)."""
 
 import struct
+from collections.abc import Iterable
 
 from canopen_conformance import steps as do
 from canopen_conformance.case import NotApplicableError, Service, check
@@ -165,21 +166,19 @@ for overflow, data, what in (
         do.expect(EMCY, "40 82 *"), do.silence(PDO))
 
 
-@sync("7.5.2.37: SYNC start value {1}, type {0}: the first TPDO goes with that counter", COUNTER, each=[
-    (1, 3, (1, 2, 3, 4, 5), (3, 4, 5)), (2, 4, (1, 2, 3, 4, 5, 6, 7), (4, 6)), (1, 1, (2, 3, 10, 1, 2), (1, 2)),
-])
-def start_value(dut: Dut, transmission: int, start: int, counters: tuple[int, ...], answered: tuple[int, ...]) -> None:
-    can_id = pdo.enable_tpdo1(dut, transmission, sync_start=start)
-    dut.put("B", 0x1019, 0, 10)
-    dut.nmt(START)
-    numbers = []
-    for counter in counters:
-        dut.send(0x080, bytes((counter,)))
-        if dut.heard(can_id, 10):
-            numbers.append(counter)
-    check(tuple(numbers) == answered, f"TPDOs with the counters {answered}", str(numbers))
+def answers(dut: Dut, counters: Iterable[int], wanted: list[int]) -> None:
+    """The TPDO answers the SYNCs with these counters."""
+    answered = pdo.on_syncs(dut, counters, counted=True)
+    check(answered == wanted, f"TPDOs with the counters {wanted}", str(answered))
 
 
+for transmission, start, counters, wanted in (
+    (1, 3, (1, 2, 3, 4, 5), [3, 4, 5]), (2, 4, (1, 2, 3, 4, 5, 6, 7), [4, 6]), (1, 1, (2, 3, 10, 1, 2), [1, 2]),
+):
+    sync(f"start_value 7.5.2.37: SYNC start value {start}, type {transmission}: the first TPDO goes with that counter",
+        COUNTER,
+        do.run(pdo.enable_tpdo1, transmission, sync_start=start), do.put("B", 0x1019, 0, 10), do.nmt(START),
+        do.run(answers, counters, wanted))
 sync("start_without_counter 7.5.2.37: without a counter the start value has no meaning", COUNTER,
     do.run(pdo.start_tpdo1, 1, sync_start=5), do.send(0x080), do.expect(PDO))
 

@@ -1,6 +1,5 @@
 """PDOs of a fingertip: parameters and types beyond the standard, interrupts (CiA 404), sample counter and status."""
 
-import struct
 from itertools import product
 
 from canopen_conformance import steps as do
@@ -44,8 +43,8 @@ for communication, mapping, name in BOTH:
         do.run(pdo.disable_pdo, communication), do.put("B", mapping, 0, 0), do.put("I", mapping, 1, 0),
         do.refuses("B", mapping, 0, 1, Abort.NO_OBJECT, Abort.NOT_MAPPABLE))
 rpdo("forgotten 7.2.2.2: what waited for a SYNC is forgotten when OPERATIONAL is left", pdo.HIGH_RESOLUTION,
-    do.run(pdo.start_rpdo1, pdo.TIME_U32, transmission=1), pdo.set_time, do.send(PDO, struct.pack("<I", 0x60000000)),
-    do.nmt(ENTER_PRE_OPERATIONAL), do.nmt(START), do.send(0x080), do.run(pdo.high_resolution, 0, 0x60000000))
+    do.run(pdo.start_rpdo1, pdo.TIME_U32, transmission=1), pdo.set_time, pdo.sends_6,
+    do.nmt(ENTER_PRE_OPERATIONAL), do.nmt(START), do.send(0x080), pdo.not_6)
 rpdo("length_cured 7.2.7.1: an RPDO of the right length cures 8210h", (*pdo.HIGH_RESOLUTION, (0x1014, 0)),
     do.run(pdo.start_rpdo1, pdo.TIME_U32),
     do.repeat(2, do.send(PDO), do.expect(EMCY, "10 82 *"), do.send(PDO, bytes(4)), do.expect(EMCY, "00 00 00 *")))
@@ -76,17 +75,9 @@ def remapped(dut: Dut) -> None:
     check(data == wanted, wanted.hex(" "), data.hex(" "))
 
 
-@tpdo("7.5.2.38: a TPDO that maps nothing is not sent", pdo.TPDO1)
-def nothing_mapped(dut: Dut) -> None:
-    pdo.enable_tpdo1(dut, 1)
-    cob_id = pdo.disable_pdo(dut, 0x1800)
-    pdo.remap(dut, 0x1A00)
-    dut.put("I", 0x1800, 1, cob_id)
-    dut.nmt(START)
-    dut.send(0x080)
-    dut.silence(PDO)
-
-
+tpdo("nothing_mapped 7.5.2.38: a TPDO that maps nothing is not sent", pdo.TPDO1,
+    do.run(pdo.enable_tpdo1, 1), do.run(pdo.disable_pdo, 0x1800), do.run(pdo.remap, 0x1A00),
+    do.run(pdo.enable_pdo, 0x1800), do.nmt(START), do.send(0x080), do.silence(PDO))
 GAUGE_1 = 0x71300110
 STATUS, COUNTER = 0x21200008, 0x21210008
 NEEDS = (*pdo.TPDO1, (0x6133, 1))
