@@ -5,6 +5,7 @@ import io
 import json
 import math
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -148,6 +149,19 @@ def test_an_error_is_one_line(
 ) -> None:
     assert run_command(raising(error)) == code
     assert capsys.readouterr() == ("", f"tipforce: {text}\n")
+
+
+def test_sigterm_ends_a_command_as_ctrl_c_does(run_command: Run) -> None:
+    closed = []
+
+    def body(_args: argparse.Namespace) -> int:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        finally:
+            closed.append("what it opened")
+        return 0
+
+    assert (run_command(body), closed) == (130, ["what it opened"])
 
 
 def test_a_fault_of_ours_keeps_its_traceback(run_command: Run) -> None:

@@ -33,7 +33,6 @@ def run(args: argparse.Namespace) -> int:
     from canopen_conformance.run import listing, run_and_print
     from canopen_conformance.wire import BusLink
     from tipforce_tools import fingertip_cases
-    from tipforce_tools.cli.main import terminate_as_interrupt
 
     cases = by_clause(matching(args.case, all_cases(fingertip_cases)))
     if not cases:
@@ -46,7 +45,6 @@ def run(args: argparse.Namespace) -> int:
     node = common.shown_node(args.node_id)
     if args.persistent:
         bus_flags.confirm(args, f"{node}: stored parameters return to defaults, node-id and bit rate are written")
-    terminate_as_interrupt()
     with bus_flags.open_bus(args) as bus:
         dut = Dut(BusLink(bus, args.tolerance), args.node_id, fingertip_cases.FINGERTIP)
         try:

@@ -124,9 +124,7 @@ def _note_load(file: HandFile, bit_rate: int | None, budgeted: bool) -> None:
 
 def _up(args: argparse.Namespace, file: HandFile) -> int:
     from tipforce.host.hand.hand import Hand
-    from tipforce_tools.cli.main import terminate_as_interrupt
 
-    terminate_as_interrupt()
     with Hand.from_file(file, **bus_flags.find_bus(args, file.bus)) as hand:
         as_rows = args.action == "run"
         reports: list[FingerReport] = []
