@@ -37,7 +37,7 @@ def _fits(data: bytes, wanted: Wanted) -> bool:
 
 class Dut:
     """One device on a link. ``product``: of the caller's own cases; ``pdo_id``: of the PDO set up; ``upload_index``,
-    ``upload_size``, ``upload_data``: of the upload begun. Received frames stay pending until a check consumes them."""
+    ``upload_size``, ``data``: of the transfer begun. Received frames stay pending until a check consumes them."""
 
     def __init__(self, link: Link, node_id: int, product: Product | None = None) -> None:
         self.link = link
@@ -45,7 +45,7 @@ class Dut:
         self.product = product
         self.log: list[str] = []
         self.pdo_id = self.upload_index = self.upload_size = 0
-        self.upload_data = b""
+        self.data = b""
         self._pending: deque[Frame] = deque(maxlen=_KEPT)
         self._survey: dict[tuple[int, int], bool] = {}
         self._own_sync: list[tuple[int, bytes]] | None = None

@@ -139,15 +139,15 @@ LENGTH = (*pdo.TPDO1, (0x1019, 0), (0x1014, 0))
 sync("default 7.3.3: the default CAN-ID of SYNC is 080h", ((0x1005, 0),),
     do.matches("I", 0x1005, 0, 0x3FFFFFFF, 0x80, "1005h = 080h"))
 sync("moved 7.5.2.5: SYNC on another CAN-ID: that one alone acts", (*pdo.TPDO1, (0x1005, 0)),
-    do.run(pdo.enable_tpdo1, 1), do.put("I", 0x1005, 0, 0x90), do.nmt(START), do.send(0x080), do.silence(PDO),
+    pdo.enable_tpdo1, do.put("I", 0x1005, 0, 0x90), do.nmt(START), do.send(0x080), do.silence(PDO),
     do.send(0x090), do.expect(PDO))
 sync("bit_31 7.5.2.5: bit 31 of 1005h is not looked at", (*pdo.TPDO1, (0x1005, 0)),
-    do.run(pdo.enable_tpdo1, 1), do.put("I", 0x1005, 0, 0x80000090), do.nmt(START), do.send(0x090), do.expect(PDO))
+    pdo.enable_tpdo1, do.put("I", 0x1005, 0, 0x80000090), do.nmt(START), do.send(0x090), do.expect(PDO))
 for can_id in (0x000, 0x07F, 0x101, 0x580 | 5, 0x600 | 5, 0x6E0, 0x701):
     sync(f"restricted 7.3.5: 1005h with the restricted CAN-ID {can_id:03X}h: 06090030h", ((0x1005, 0),),
         do.refuses("I", 0x1005, 0, can_id, Abort.INVALID_VALUE))
 sync("remote_frame 7.2.5: a remote frame is no SYNC", pdo.TPDO1,
-    do.run(pdo.start_tpdo1, 1), do.send(0x080 | REMOTE_FLAG), do.silence(PDO))
+    pdo.start_tpdo1, do.send(0x080 | REMOTE_FLAG), do.silence(PDO))
 for value in (1, 241, 255):
     sync(f"overflow_refused 7.5.2.22: 1019h = {value} is refused", ((0x1019, 0),),
         do.refuses("B", 0x1019, 0, value, Abort.INVALID_VALUE, Abort.TOO_HIGH), do.holds("B", 0x1019, 0, 0))
@@ -155,14 +155,14 @@ for value in (0, 2, 240):
     sync(f"overflow_taken 7.5.2.22: 1019h = {value} is taken", ((0x1019, 0),),
         do.put("B", 0x1019, 0, value, required=True), do.holds("B", 0x1019, 0, value))
 sync("counted 7.2.5.3.1: with 1019h a SYNC with its counter acts", COUNTER,
-    do.run(pdo.enable_tpdo1, 1), do.put("B", 0x1019, 0, 10), do.nmt(START),
+    pdo.enable_tpdo1, do.put("B", 0x1019, 0, 10), do.nmt(START),
     *(step for counter in (1, 2, 10, 1) for step in (do.send(0x080, bytes((counter,))), do.expect(PDO))))
 for overflow, data, what in (
     (0, "01", "one byte without 1019h"), (0, "01 02 03 04 05 06 07 08", "eight bytes without 1019h"),
     (10, "", "no data with 1019h"), (10, "01 02", "two bytes with 1019h"),
 ):
     sync(f"wrong_length 7.2.5.3.1: SYNC of {what}: EMCY 8240h, and no TPDO", LENGTH,
-        do.run(pdo.enable_tpdo1, 1), do.put("B", 0x1019, 0, overflow), do.nmt(START), do.send(0x080, data),
+        pdo.enable_tpdo1, do.put("B", 0x1019, 0, overflow), do.nmt(START), do.send(0x080, data),
         do.expect(EMCY, "40 82 *"), do.silence(PDO))
 
 
@@ -180,15 +180,14 @@ for transmission, start, counters, wanted in (
         do.run(pdo.enable_tpdo1, transmission, sync_start=start), do.put("B", 0x1019, 0, 10), do.nmt(START),
         do.run(answers, counters, wanted))
 sync("start_without_counter 7.5.2.37: without a counter the start value has no meaning", COUNTER,
-    do.run(pdo.start_tpdo1, 1, sync_start=5), do.send(0x080), do.expect(PDO))
+    do.run(pdo.start_tpdo1, sync_start=5), do.send(0x080), do.expect(PDO))
 
 
 for wait_ms, when, fate in ((10, "within", "taken"), (150, "after", "discarded")):
     sync(f"window 7.5.2.7: a synchronous RPDO {when} the window of 1007h is {fate}",
         ((0x1007, 0), (0x1013, 0), (0x1400, 1), (0x1600, 0)),
-        do.run(pdo.mapped_rpdo1, pdo.TIME_U32, transmission=1), do.put("I", 0x1007, 0, 80000), do.nmt(START),
-        pdo.set_time, do.send(0x080), do.sleep(wait_ms), pdo.sends_6, do.send(0x080),
-        do.run(pdo.rpdo_was, fate, 0x60000000))
+        do.run(pdo.mapped_rpdo1, transmission=1), do.put("I", 0x1007, 0, 80000), do.nmt(START), pdo.set_time,
+        do.send(0x080), do.sleep(wait_ms), pdo.sends_6, do.send(0x080), do.run(pdo.rpdo_was, fate, 0x60000000))
 
 
 TIME = ((0x1012, 0),)

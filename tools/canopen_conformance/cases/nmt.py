@@ -8,7 +8,7 @@ from canopen_conformance import wire
 from canopen_conformance.case import Service
 from canopen_conformance.cases.emcy import break_sync
 from canopen_conformance.cases.identity import LOAD, SAVE
-from canopen_conformance.cases.pdo import TIME_U32, TPDO1, enable_tpdo1, mapped_rpdo1, rpdo_was, set_time
+from canopen_conformance.cases.pdo import TPDO1, enable_tpdo1, mapped_rpdo1, rpdo_was, set_time
 from canopen_conformance.cases.sdo import begin_upload, over
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import EMCY, HEARTBEAT, PDO, SDO, Abort
@@ -66,15 +66,15 @@ nmt("stop_ends_sdo 7.3.2.3: stop ends an SDO transfer without a word", (),
 for before, state in wire.STATES:
     nmt(f"tpdo_by_state 7.3.2.3: a synchronous TPDO in {state}: {'sent' if before == wire.OPERATIONAL else 'silent'}",
         TPDO1,
-        do.run(enable_tpdo1, 1), do.enter(before), do.send(0x080),
+        enable_tpdo1, do.enter(before), do.send(0x080),
         do.expect(PDO) if before == wire.OPERATIONAL else do.silence(PDO))
 nmt("tpdo_leave_and_return 7.3.2.3: TPDOs stop when OPERATIONAL is left, and go on when it is entered again", TPDO1,
-    do.run(enable_tpdo1, 1),
+    enable_tpdo1,
     *(step for command in (wire.ENTER_PRE_OPERATIONAL, wire.STOP) for step in (
         do.nmt(wire.START), do.send(0x080), do.expect(PDO), do.nmt(command), do.send(0x080), do.silence(PDO))))
 for (before, state), does in zip(wire.STATES, ("ignored", "taken"), strict=False):
     nmt(f"rpdo_by_state 7.3.2.3: an RPDO in {state}: {does}", ((0x1013, 0), (0x1400, 1), (0x1600, 0)),
-        do.run(mapped_rpdo1, TIME_U32), set_time, do.enter(before), do.send(PDO, struct.pack("<I", 0x70000000)),
+        mapped_rpdo1, set_time, do.enter(before), do.send(PDO, struct.pack("<I", 0x70000000)),
         do.run(rpdo_was, does, 0x70000000))
 nmt("emcy_waits 7.3.2.3: an EMCY waits while STOPPED and comes after it", ((0x1014, 0), (0x1016, 1)),
     do.put("I", 0x1016, 1, 0x700000 | 40), do.send(0x770, "05"), do.nmt(wire.STOP), do.silence(EMCY, ms=100),

@@ -51,13 +51,13 @@ def remap(dut: Dut, mapping: int, *words: int) -> None:
 
 def enable_tpdo1(
     dut: Dut,
-    transmission: int,
+    transmission: int = 1,
     *words: int,
     inhibit_100us: int | None = None,
     event_ms: int | None = None,
     sync_start: int | None = None,
-) -> int:
-    """Set up TPDO1 (no words: mapping unchanged) as ``Dut.pdo_id``: its CAN-ID. Not applicable without a mapping."""
+) -> None:
+    """Set up TPDO1, by default for each SYNC with its own mapping, as ``Dut.pdo_id``; not applicable without one."""
     cob_id = disable_pdo(dut, 0x1800)
     if words:
         remap(dut, 0x1A00, *words)
@@ -69,14 +69,12 @@ def enable_tpdo1(
             dut.put(kind, 0x1800, sub, value or 0)
     dut.put("I", 0x1800, 1, cob_id)
     dut.pdo_id = cob_id & 0x7FF
-    return dut.pdo_id
 
 
-def start_tpdo1(dut: Dut, /, transmission: int, *words: int, **timing: int | None) -> int:
+def start_tpdo1(dut: Dut, /, transmission: int = 1, *words: int, **timing: int | None) -> None:
     """Set up TPDO1 as ``enable_tpdo1`` does, and start the device."""
-    can_id = enable_tpdo1(dut, transmission, *words, **timing)
+    enable_tpdo1(dut, transmission, *words, **timing)
     dut.nmt(START)
-    return can_id
 
 
 def check_mapped(dut: Dut) -> None:
@@ -92,16 +90,15 @@ def check_mapped(dut: Dut) -> None:
             raise NotApplicableError(f"TPDO1 maps {word:08X}h, which no object of the device fits")
 
 
-def mapped_rpdo1(dut: Dut, *words: int, transmission: int = 255, event_ms: int = 0) -> int:
-    """Set up a valid RPDO1 with this mapping as ``Dut.pdo_id``; return its CAN-ID."""
+def mapped_rpdo1(dut: Dut, *words: int, transmission: int = 255, event_ms: int = 0) -> None:
+    """Set up a valid RPDO1 with this mapping, by default that of 1013h, as ``Dut.pdo_id``."""
     cob_id = disable_pdo(dut, 0x1400)
-    remap(dut, 0x1600, *words)
+    remap(dut, 0x1600, *(words or (TIME_U32,)))
     dut.put("B", 0x1400, 2, transmission)
     if event_ms:
         dut.put("H", 0x1400, 5, event_ms)
     dut.put("I", 0x1400, 1, cob_id)
     dut.pdo_id = cob_id & 0x7FF
-    return dut.pdo_id
 
 
 def start_rpdo1(dut: Dut, *words: int, transmission: int = 255, event_ms: int = 0) -> None:
@@ -160,14 +157,14 @@ def inhibit(dut: Dut) -> None:
 
 
 tpdo("invalid 7.5.2.37: a TPDO with bit 31 set is not sent", TPDO1,
-    do.run(enable_tpdo1, 1), do.run(disable_pdo, 0x1800), do.nmt(START), do.send(0x080), do.silence(PDO))
+    enable_tpdo1, do.run(disable_pdo, 0x1800), do.nmt(START), do.send(0x080), do.silence(PDO))
 tpdo("moved 7.5.2.37: a TPDO that was moved is sent with its new CAN-ID alone", TPDO1,
-    do.run(enable_tpdo1, 1), do.run(move_pdo, 0x1800), do.nmt(START), do.send(0x080), do.expect(0x390), do.silence(PDO))
+    enable_tpdo1, do.run(move_pdo, 0x1800), do.nmt(START), do.send(0x080), do.expect(0x390), do.silence(PDO))
 
 
 @tpdo("7.2.2.5.1: a TPDO is as long as its mapping says", TPDO1)
 def length(dut: Dut) -> None:
-    enable_tpdo1(dut, 1)
+    enable_tpdo1(dut)
     bits = sum(dut.integer("I", 0x1A00, sub) & 0xFF for sub in range(1, dut.integer("B", 0x1A00, 0) + 1))
     dut.nmt(START)
     dut.send(0x080)
@@ -187,34 +184,31 @@ took_6 = do.between("I", TIME, 0, 0x60000000, 0x60FFFFFF)  # it runs on
 not_6 = do.between("I", TIME, 0, 0, 0x5FFFFFFF)
 for transmission in (254, 255):
     rpdo(f"received 7.2.2.2: an RPDO of type {transmission} acts at once", HIGH_RESOLUTION,
-        do.run(start_rpdo1, TIME_U32, transmission=transmission), set_time, sends_6, took_6)
+        do.run(start_rpdo1, transmission=transmission), set_time, sends_6, took_6)
 for transmission in (0, 1, 240):
     rpdo(f"received_on_sync 7.2.2.2: a synchronous RPDO of type {transmission} acts with the next SYNC",
         HIGH_RESOLUTION,
-        do.run(start_rpdo1, TIME_U32, transmission=transmission), set_time, sends_6, not_6, do.send(0x080), took_6)
+        do.run(start_rpdo1, transmission=transmission), set_time, sends_6, not_6, do.send(0x080), took_6)
 rpdo("last_before_sync 7.2.2.2: of two synchronous RPDOs before a SYNC the last one acts", HIGH_RESOLUTION,
-    do.run(start_rpdo1, TIME_U32, transmission=1), sends_6, do.send(PDO, struct.pack("<I", 0x70000000)), do.send(0x080),
+    do.run(start_rpdo1, transmission=1), sends_6, do.send(PDO, struct.pack("<I", 0x70000000)), do.send(0x080),
     do.between("I", TIME, 0, 0x70000000, 0x70FFFFFF))
 rpdo("longer 7.2.2.5.1: a longer RPDO: the mapped bytes count", HIGH_RESOLUTION,
-    do.run(start_rpdo1, TIME_U32), do.send(PDO, struct.pack("<II", 0x60000000, 0x99999999)), took_6)
+    start_rpdo1, do.send(PDO, struct.pack("<II", 0x60000000, 0x99999999)), took_6)
 rpdo("shorter 7.2.2.5.1: a shorter RPDO: EMCY 8210h, nothing is taken", (*HIGH_RESOLUTION, (0x1014, 0)),
-    do.run(start_rpdo1, TIME_U32), set_time, do.send(PDO, "00 00 60"), do.expect(EMCY, "10 82 *"),
-    do.between("I", TIME, 0, 0, 0x5FFFFF))
+    start_rpdo1, set_time, do.send(PDO, "00 00 60"), do.expect(EMCY, "10 82 *"), do.between("I", TIME, 0, 0, 0x5FFFFF))
 rpdo("dummies 7.4.7.1: dummy entries skip bytes of an RPDO", HIGH_RESOLUTION,
     do.run(start_rpdo1, 0x00050008, TIME_U32, 0x00060010), do.send(PDO, "AA 00 00 00 60 BB CC"), took_6)
 rpdo("deadline 7.5.2.35: an RPDO that stays away: EMCY 8250h after its event timer", DEADLINE,
-    do.run(start_rpdo1, TIME_U32, event_ms=50), do.send(PDO, bytes(4)),
-    do.after(50, "event timer", do.expect(EMCY, "50 82 *")), do.silence(EMCY, ms=70), do.send(PDO, bytes(4)),
-    do.expect(EMCY, "00 00 *"))
+    do.run(start_rpdo1, event_ms=50), do.send(PDO, bytes(4)), do.after(50, "event timer", do.expect(EMCY, "50 82 *")),
+    do.silence(EMCY, ms=70), do.send(PDO, bytes(4)), do.expect(EMCY, "00 00 *"))
 rpdo("no_deadline 7.5.2.35: an RPDO is not missed before the first one", DEADLINE,
-    do.run(start_rpdo1, TIME_U32, event_ms=40), do.silence(EMCY, ms=100))
+    do.run(start_rpdo1, event_ms=40), do.silence(EMCY, ms=100))
 rpdo("no_deadline 7.5.2.35: an RPDO is not missed after OPERATIONAL was left", DEADLINE,
-    do.run(start_rpdo1, TIME_U32, event_ms=40), do.send(PDO, bytes(4)), do.nmt(ENTER_PRE_OPERATIONAL),
-    do.silence(EMCY, ms=100))
+    do.run(start_rpdo1, event_ms=40), do.send(PDO, bytes(4)), do.nmt(ENTER_PRE_OPERATIONAL), do.silence(EMCY, ms=100))
 rpdo("in_time 7.5.2.35: RPDOs in time: no EMCY", DEADLINE,
-    do.run(start_rpdo1, TIME_U32, event_ms=150), do.repeat(4, do.send(PDO, bytes(4)), do.silence(EMCY, ms=70)))
+    do.run(start_rpdo1, event_ms=150), do.repeat(4, do.send(PDO, bytes(4)), do.silence(EMCY, ms=70)))
 rpdo("invalid_rpdo 7.5.2.35: an RPDO with bit 31 set is not taken", HIGH_RESOLUTION,
-    do.run(mapped_rpdo1, TIME_U32), do.run(disable_pdo, 0x1400), do.nmt(START), set_time, sends_6, not_6)
+    mapped_rpdo1, do.run(disable_pdo, 0x1400), do.nmt(START), set_time, sends_6, not_6)
 
 
 # The standard names no code for a change while the PDO is valid.
@@ -324,5 +318,4 @@ parameters("restored 7.2.8.2.1.6: reset communication restores mapping, type and
     do.unchanged(((0x1800, 1), (0x1800, 2), (0x1A00, 0), (0x1A00, 1)),
         do.run(disable_pdo, 0x1800), do.put("B", 0x1800, 2, 7), do.run(remap, 0x1A00), do.reset(RESET_COMMUNICATION)))
 parameters("operational 7.5.2.37: PDO parameters are written in OPERATIONAL too", TPDO1,
-    do.enter(OPERATIONAL), do.run(enable_tpdo1, 1), do.send(0x080),
-    lambda dut: dut.expect(dut.integer("I", 0x1800, 1) & 0x7FF))
+    do.enter(OPERATIONAL), enable_tpdo1, do.send(0x080), lambda dut: dut.expect(dut.integer("I", 0x1800, 1) & 0x7FF))

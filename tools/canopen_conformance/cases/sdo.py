@@ -168,8 +168,7 @@ for segment, how, code in (
     segmented(f"download_wrong_end 7.2.4.3.4: size not stated, {how} than the object: refused at the end", BEAT,
         do.run(begin_download, None), do.request(segment), do.aborted(0x1017, 0, code, Abort.WRONG_LENGTH))
 segmented("download_abort 7.2.4.3.17: the client aborts a download: the transfer is over, nothing is written", BEAT,
-    not_written(begin_download, do.abort(0x1017), do.silence(SDO),
-        do.ask("0B 34 12", lambda data: data[0] == 0x80)))
+    not_written(begin_download, do.abort(0x1017), do.silence(SDO), do.ask("0B 34 12", lambda data: data[0] == 0x80)))
 segmented("download_wrong_segment 7.2.4.3.17: an upload segment during a download: 05040001h", BEAT,
     begin_download, do.request("60"), do.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND))
 segmented("download_value 7.2.4.3.4: a refused value is refused with the last segment", ((0x1019, 0),),

@@ -34,7 +34,7 @@ def begin_block_upload(dut: Dut, block_size: int, crc: bool = True, start: bool 
                 raise CheckError(f"C0h (with bits 1, 2) and {index:04X}h", answer.hex(" "))
             if answer[0] & 2 and answer[4:] != struct.pack("<I", len(data)):
                 raise CheckError(f"size {len(data)}", answer[4:].hex(" "))
-            dut.upload_index, dut.upload_data = index, data
+            dut.upload_index, dut.data = index, data
             if start:
                 dut.request("A3")
             return
@@ -48,32 +48,30 @@ def begun_upload(dut: Dut, started: bool = True) -> None:
         block(dut, 0, 1)
 
 
+def segments(dut: Dut, first: int = 0) -> list[bytes]:
+    """The segments of a block that holds the data from segment ``first`` on, the last of all marked."""
+    parts = [dut.data[at : at + 7] for at in range(0, len(dut.data), 7)][first:]
+    return [bytes((number | (0x80 if number == len(parts) else 0),)) + part for number, part in enumerate(parts, 1)]
+
+
 def block(dut: Dut, first: int = 0, most: int = 127) -> int:
-    """The data from segment ``first`` on, in at most so many segments from number 1 on; return how many."""
-    rest = dut.upload_data[7 * first :]
-    count = min(most, segments(rest))
-    for number in range(1, count + 1):
-        part, left = rest[7 * number - 7 : 7 * number], rest[7 * number :]
+    """Receive the data from segment ``first`` on in at most so many segments; return how many."""
+    wanted = segments(dut, first)[:most]
+    for segment in wanted:
         data = dut.answer()
-        right = data[0] == (number if left else number | 0x80) and data[1 : 1 + len(part)] == part
-        check(right, f"segment {number}{'' if left else ', the last'}: {part.hex(' ')}", data.hex(" "))
-    return count
+        check(data.startswith(segment), segment.hex(" "), data.hex(" "))
+    return len(wanted)
 
 
 def end_block_upload(dut: Dut, crc: bool = True) -> None:
     """The end of the server, after which the client says that it is content."""
-    unused = -len(dut.upload_data) % 7
+    unused = -len(dut.data) % 7
     answer = dut.answer(lambda d: d[0] & 0xE3 == 0xC1)
-    wanted = binascii.crc_hqx(dut.upload_data, 0) if crc else 0
+    wanted = binascii.crc_hqx(dut.data, 0) if crc else 0
     if answer[0] >> 2 & 7 != unused or struct.unpack("<H", answer[1:3])[0] != wanted:
         raise CheckError(f"{unused} bytes unused, CRC {wanted:04X}h", answer.hex(" "))
     dut.request("A1")
     dut.silence(SDO)
-
-
-def segments(data: bytes) -> int:
-    """How many segments carry ``data``."""
-    return -(-len(data) // 7)
 
 
 def last_block(dut: Dut, first: int = 0, crc: bool = True) -> None:
@@ -90,7 +88,7 @@ upload("upload 7.2.4.3.13: one block: size, segments, end with CRC", (),
 @upload("7.2.4.3.14: blocks of one segment")
 def blocks_of_one(dut: Dut) -> None:
     begin_block_upload(dut, 1)
-    for first in range(segments(dut.upload_data)):
+    for first in range(len(segments(dut))):
         block(dut, first, 1)
         dut.request("A2 01 01")
     end_block_upload(dut)
@@ -140,8 +138,7 @@ upload("stopped 7.3.2.3: stop ends a block upload without a word", (),
     do.run(begun_upload, False), do.nmt(STOP), do.request("A3"), do.silence(SDO))
 for command in ("A1", "A2", "A3", "C1"):
     upload("no_transfer 7.2.4.3.17: a block command without a transfer: 05040001h", (),
-        do.run(initiate, 0x1000, 127), do.abort(0x1000),
-        do.ask(f"{command} 00 10 00", unknown))
+        do.run(initiate, 0x1000, 127), do.abort(0x1000), do.ask(f"{command} 00 10 00", unknown))
 
 
 VALUE = b"\x34\x12"

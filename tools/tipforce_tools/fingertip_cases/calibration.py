@@ -87,9 +87,8 @@ calibration("staged_crc 2103h: 2103h:2 is the CRC-32 of the staged record", (),
     do.run(stage, made(x2102_1=77)), do.holds("I", 0x2103, 2, crc(x2102_1=77)), do.put("I", 0x2102, 1, 78),
     do.holds("I", 0x2103, 2, crc(x2102_1=78)))
 calibration("condition 2102h: 2102h:5 is the condition number of the staged matrix", (),
-    do.run(stage, made(x2100_1=4 * NEWTONS_PER_STRAIN)), do.near(0x2102, 5, 4.0, 1e-4),
-     do.put("f", 0x2100, 1, 0.0), do.holds("f", 0x2102, 5, math.inf),
-     do.refuses("f", 0x2102, 5, 1.0, Abort.READ_ONLY))
+    do.run(stage, made(x2100_1=4 * NEWTONS_PER_STRAIN)), do.near(0x2102, 5, 4.0, 1e-4), do.put("f", 0x2100, 1, 0.0),
+    do.holds("f", 0x2102, 5, math.inf), do.refuses("f", 0x2102, 5, 1.0, Abort.READ_ONLY))
 
 
 calibration("committed 2104h: a commit activates: CRC, generation, 2140h, status bit 1", (),

@@ -231,7 +231,7 @@ block_upload("protocol_switch_segmented 7.2.4.3.13: protocol switch to a segment
 @block_upload("7.2.4.3.14: full blocks of 127 segments", LONG)
 def full_block(dut: Dut) -> None:
     dut.ask("40 21 10 00", "41 21 10 00 *")
-    dut.upload_data = b"".join(dut.ask("70" if number % 2 else "60")[1:] for number in range(130))
+    dut.data = b"".join(dut.ask("70" if number % 2 else "60")[1:] for number in range(130))
     dut.abort(0x1021)
     sdo_block.initiate(dut, 0x1021, 127)
     dut.request("A3")
@@ -254,61 +254,40 @@ for started, when in ((False, "before the start"), (True, "after a block")):
         do.run(sdo_block.begun_upload, started), do.aborted(UPLOADED, 0, Abort.TIMED_OUT, within_ms=1200))
 
 
-def begin_record(dut: Dut) -> tuple[bytes, int]:
-    """Initiate the block download of a record that is not the present one; the record, and its number of segments."""
-    data = bytes(len(dut.read(0x2141)) - 1) + b"\1"
-    sdo_block.begin_block_download(dut, 0x2141, len(data))
-    return data, -(-len(data) // 7)
+def begin_record(dut: Dut) -> None:
+    """Initiate the block download of a record that is not the present one."""
+    dut.data = bytes(len(dut.read(0x2141)) - 1) + b"\1"
+    sdo_block.begin_block_download(dut, 0x2141, len(dut.data))
 
 
-def end_record(dut: Dut, data: bytes, acknowledged: int) -> None:
-    """The answer to the last block, the end of the transfer, and the record that is read back."""
-    dut.answer(f"A2 {acknowledged:02X} ..")
-    sdo_block.end_block_download(dut, data)
+def send(dut: Dut, first: int = 0, *places: slice) -> None:
+    """Send the block of the data from segment ``first`` on, or these places of it."""
+    block = sdo_block.segments(dut, first)
+    for place in places or (slice(None),):
+        for segment in block[place]:
+            dut.request(segment)
+
+
+def end_record(dut: Dut, first: int = 0) -> None:
+    """The answer to the block from segment ``first`` on, the end of the transfer, and the record that is read back."""
+    dut.answer(f"A2 {len(sdo_block.segments(dut, first)):02X} ..")
+    sdo_block.end_block_download(dut, dut.data)
     dut.answer("A1")
-    dut.reads(0x2141, 0, data)
+    dut.reads(0x2141, 0, dut.data)
 
 
-def send(dut: Dut, data: bytes, *numbers: int) -> None:
-    """Segments of a block of ``data``, by their numbers in it."""
-    for number in numbers:
-        sdo_block.segment(dut, number, data[7 * number - 7 : 7 * number], 7 * number >= len(data))
-
-
-@download("7.2.4.3.10: many segments: the whole record is written", RECORD)
-def many(dut: Dut) -> None:
-    data, last = begin_record(dut)
-    send(dut, data, *range(1, last + 1))
-    end_record(dut, data, last)
-
-
-@download("7.2.4.3.10: a segment is lost: ackseq names the one before it, and the rest is sent again", RECORD)
-def lost_segment(dut: Dut) -> None:
-    data, last = begin_record(dut)
-    send(dut, data, 1, 2, *range(4, last + 1))
-    dut.answer("A2 02 ..")
-    send(dut, data[14:], *range(1, last - 1))
-    end_record(dut, data, last - 2)
-
-
-@download("7.2.4.3.10: a segment that comes twice counts once", RECORD)
-def twice(dut: Dut) -> None:
-    data, last = begin_record(dut)
-    send(dut, data, 1, 2, *range(2, last + 1))
-    end_record(dut, data, last)
-
-
-@download("7.2.4.3.10: the last segment is lost: the server says after a while what it has", RECORD)
-def lost_last(dut: Dut) -> None:
-    data, last = begin_record(dut)
-    send(dut, data, *range(1, last))
-    dut.answer(f"A2 {last - 1:02X} ..", within_ms=900)
-    sdo_block.segment(dut, 1, data[7 * last - 7 :], True)
-    dut.answer("A2 01 ..")
-    sdo_block.end_block_download(dut, data)
-    dut.answer("A1")
-
-
+download("many 7.2.4.3.10: many segments: the whole record is written", RECORD,
+    begin_record, send, end_record)
+download("lost_segment 7.2.4.3.10: a segment is lost: ackseq names the one before it, and the rest is sent again",
+    RECORD,
+    begin_record, do.run(send, 0, slice(2), slice(3, None)), do.answer("A2 02 .."), do.run(send, 2),
+    do.run(end_record, 2))
+download("twice 7.2.4.3.10: a segment that comes twice counts once", RECORD,
+    begin_record, do.run(send, 0, slice(2), slice(1, None)), end_record)
+all_but_one = do.late(lambda dut: f"A2 {len(sdo_block.segments(dut)) - 1:02X} ..")()
+download("lost_last 7.2.4.3.10: the last segment is lost: the server says after a while what it has", RECORD,
+    begin_record, do.run(send, 0, slice(-1)), do.answer(all_but_one, within_ms=900), do.run(send, -1),
+    do.run(end_record, -1))
 download("too_much 7.2.4.3.10: more data than stated: 06070012h, before the end", BEAT,
     do.run(sdo_block.begin_block_download, 0x1017, 2), do.run(sdo_block.segment, 1, bytes(7)),
     do.aborted(0x1017, 0, Abort.TOO_LONG))

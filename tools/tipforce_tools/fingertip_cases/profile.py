@@ -105,8 +105,7 @@ for microstrain, status, shown in ((5000.0, 3, 0x7FFF), (-5000.0, 5, -0x7FFF)):
     profile_404(f"overload 6150h: a gauge beyond INTEGER16: overload {status:02X}h, "
         "7130h at its end, 6130h and 9130h as they are", (),
         do.put("f", 0x6148, 1, -1e6), do.put("f", 0x6149, 1, 1e6), do.put("f", 0x6124, 1, microstrain), settle,
-        do.holds("B", 0x6150, 1, status), do.holds("h", 0x7130, 1, shown),
-        do.near(0x9130, 1, in_tenths, 100, "i"))
+        do.holds("B", 0x6150, 1, status), do.holds("h", 0x7130, 1, shown), do.near(0x9130, 1, in_tenths, 100, "i"))
 
 
 without_fault = do.undone_by(do.put("H", 0x2200, 1, 0))
