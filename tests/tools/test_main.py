@@ -282,7 +282,7 @@ def test_json_has_no_nan(capsys: pytest.CaptureFixture[str]) -> None:
 
 def bus_arguments(*words: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
-    bus_flags.add_sdo_arguments(parser)
+    bus_flags.add_bus_arguments(parser, sdo=True)
     common.add_confirm_argument(parser)
     return parser.parse_args(words)
 

@@ -22,8 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     from canopen_conformance.__main__ import add_arguments as add_case_arguments
 
     add_case_arguments(parser, common.node_id)
-    common.add_confirm_argument(parser)
-    bus_flags.add_bus_arguments(parser)
+    bus_flags.add_bus_arguments(parser, confirm=True)
 
 
 def run(args: argparse.Namespace) -> int:

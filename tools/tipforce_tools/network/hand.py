@@ -49,8 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_choice(parser, "action", ACTIONS)
     parser.add_argument("file", type=common.InputFile(), metavar="FILE", help="hand.toml")
     parser.add_argument("--seconds", type=common.seconds, metavar="S", help="run: end after this time")
-    common.add_confirm_argument(parser)
-    bus_flags.add_bus_arguments(parser)
+    bus_flags.add_bus_arguments(parser, confirm=True)
 
 
 def run(args: argparse.Namespace) -> int:
