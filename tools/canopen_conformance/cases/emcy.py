@@ -110,22 +110,10 @@ emcy("moved 7.5.2.17: switched off, moved, switched on", NEEDS,
 for value in (0x000, 0x07F, 0x101, 0x581, 0x601, 0x6E0, 0x701, 0x20000390, 0x40000390, 0x00001390):
     emcy(f"refused 7.5.2.17: 1014h = {value:08X}h: 06090030h", NEEDS,
         switch_off, do.refuses("I", 0x1014, 0, value, Abort.INVALID_VALUE))
-
-
-@emcy("7.5.2.18: the inhibit time lies between two messages, and none is lost", INHIBIT)
-def inhibit(dut: Dut) -> None:
-    dut.put("H", 0x1015, 0, 500)
-    make_error(dut)
-    first_us = dut.now_us
-    dut.send(0x080)
-    break_sync(dut)
-    dut.send(0x080)
-    for number, wanted in enumerate(("00 00 *", "40 82 *", "00 00 *"), 1):
-        frame = dut.expect(EMCY, wanted, 80)
-        dut.check_ms("inhibit times of 50 ms", frame.at_us - first_us, 50 * number)
-    dut.silence(EMCY, ms=70)
-
-
+emcy("inhibit 7.5.2.18: the inhibit time lies between two messages, and none is lost", INHIBIT,
+    do.put("H", 0x1015, 0, 500), make_error, do.send(0x080), break_sync, do.send(0x080),
+    *(do.after(50, "inhibit time", do.expect(EMCY, wanted, 80)) for wanted in ("00 00 *", "40 82 *", "00 00 *")),
+    do.silence(EMCY, ms=70))
 emcy("no_inhibit 7.5.2.18: inhibit time 0: every message at once", INHIBIT,
     do.put("H", 0x1015, 0, 0), do.repeat(3, make_error, cure_error))
 emcy("operational 7.3.2.3: EMCY is sent in OPERATIONAL", NEEDS,

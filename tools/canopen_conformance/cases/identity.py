@@ -5,7 +5,7 @@ from itertools import product
 
 from canopen_conformance import steps as do
 from canopen_conformance.case import NotApplicableError, Service, check
-from canopen_conformance.cases.pdo import TPDO1, check_mapped
+from canopen_conformance.cases.pdo import TPDO1, check_mapped, disable_pdo, move_pdo
 from canopen_conformance.cases.sdo import NAMES
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE, RESETS, START, Abort
@@ -125,19 +125,8 @@ for sub, command in ((1, RESET_NODE), (2, RESET_COMMUNICATION)):
         (*ALL, (0x1011, sub)),
         do.within(restored, do.put("I", 0x1016, 1, VALUE), do.run(store, 1), do.put("I", 0x1011, sub, LOAD),
             do.holds("I", 0x1016, 1, VALUE), do.reset(command), do.holds("I", 0x1016, 1, 0)), persistent=True)
-
-
-@storage("7.5.2.13: PDO parameters are stored, and the PDO works as stored", ((0x1010, 2), *TPDO1), persistent=True)
-def stored_pdo(dut: Dut) -> None:
-    cob_id = dut.integer("I", 0x1800, 1)
-    check_mapped(dut)
-    with restored(dut):
-        dut.put("I", 0x1800, 1, cob_id | 0x80000000)
-        dut.put("B", 0x1800, 2, 1)
-        dut.put("I", 0x1800, 1, cob_id & 0x40000000 | 0x3A5)
-        store(dut, 2)
-        dut.reset(RESET_NODE)
-        dut.holds("I", 0x1800, 1, cob_id & 0x40000000 | 0x3A5)
-        dut.nmt(START)
-        dut.send(0x080)
-        dut.expect(0x3A5)
+storage("stored_pdo 7.5.2.13: PDO parameters are stored, and the PDO works as stored", ((0x1010, 2), *TPDO1),
+    check_mapped, do.within(restored,
+        do.run(disable_pdo, 0x1800), do.put("B", 0x1800, 2, 1), do.run(move_pdo, 0x1800),
+        do.unchanged(((0x1800, 1), (0x1800, 2)), do.run(store, 2), do.reset(RESET_NODE)),
+        do.nmt(START), do.send(0x080), do.expect(0x390)), persistent=True)

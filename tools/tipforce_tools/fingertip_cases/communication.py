@@ -10,10 +10,10 @@ from canopen_conformance.cases import sdo_block
 from canopen_conformance.cases.emcy import HISTORY, INHIBIT, NEEDS, break_sync, clear, cure_error, make_error
 from canopen_conformance.cases.identity import ALL, LOAD, VALUE, WRONG_SIGNATURE, restored, store
 from canopen_conformance.cases.nmt import CONSUMER, GUARDING, PRODUCER
-from canopen_conformance.cases.pdo import INVALID
+from canopen_conformance.cases.pdo import TPDO1, disable_pdo, enable_pdo, start_tpdo1
 from canopen_conformance.cases.sdo import BEAT, UPLOADED, begin_download, begin_upload, not_written, over, read_all
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import EMCY, HEARTBEAT, SDO, Abort
+from canopen_conformance.wire import EMCY, HEARTBEAT, PDO, SDO, Abort
 
 # fmt: off
 # A table: a case is its header, and below it its steps.
@@ -63,20 +63,9 @@ emcy("queue 7.5.2.18: many messages wait, in their order", INHIBIT,
     do.repeat(12, do.expect(EMCY, "40 82 *"), do.expect(EMCY, "00 00 *")))
 emcy("collision 7.2.7.1: another node sends this node's heartbeat: EMCY 8150h, once", NEEDS,
     do.repeat(3, do.send(HEARTBEAT, "05")), do.expect(EMCY, "50 81 11 *"), do.silence(EMCY))
-
-
-@emcy("7.2.7.1: an identifier that a TPDO has left may be another node's", (*NEEDS, (0x1800, 1)))
-def no_collision(dut: Dut) -> None:
-    cob_id = dut.integer("I", 0x1800, 1)
-    dut.nmt(wire.START)
-    dut.put("I", 0x1800, 1, cob_id | INVALID)
-    dut.send(cob_id & 0x7FF, bytes(8))
-    dut.silence(EMCY)
-    dut.put("I", 0x1800, 1, cob_id)
-    dut.send(cob_id & 0x7FF, bytes(8))
-    dut.expect(EMCY, "50 81 *")
-
-
+emcy("no_collision 7.2.7.1: an identifier that a TPDO has left may be another node's", (*NEEDS, *TPDO1),
+    start_tpdo1, do.run(disable_pdo, 0x1800), do.send(PDO, bytes(8)), do.silence(EMCY), do.run(enable_pdo, 0x1800),
+    do.send(PDO, bytes(8)), do.expect(EMCY, "50 81 *"))
 identity("profile CiA 404 1000h: device profile 404, an analogue input block", (),
     do.holds("I", 0x1000, 0, 0x00020194))
 
