@@ -48,7 +48,7 @@ def page() -> str:
     assert list(_MEANINGS) == list(EXIT_TEXTS)
     parts = [_HEAD, *(f"| {code} | {text} |\n" for code, text in _MEANINGS.items()), "\n## Common flags\n"]
     shared = argparse.ArgumentParser(add_help=False)
-    bus_flags.add_sdo_arguments(shared)
+    bus_flags.add_bus_arguments(shared, sdo=True)
     common.add_confirm_argument(shared)
     for title, name in actions.SHARED.items():
         parts += [f"\n**{name[0].upper()}{name[1:]} flags**\n", _table(_groups(shared)[title])]

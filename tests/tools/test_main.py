@@ -5,6 +5,7 @@ import io
 import json
 import math
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -150,6 +151,19 @@ def test_an_error_is_one_line(
     assert capsys.readouterr() == ("", f"tipforce: {text}\n")
 
 
+def test_sigterm_ends_a_command_as_ctrl_c_does(run_command: Run) -> None:
+    closed = []
+
+    def body(_args: argparse.Namespace) -> int:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        finally:
+            closed.append("what it opened")
+        return 0
+
+    assert (run_command(body), closed) == (130, ["what it opened"])
+
+
 def test_a_fault_of_ours_keeps_its_traceback(run_command: Run) -> None:
     with pytest.raises(ZeroDivisionError):
         run_command(raising(ZeroDivisionError()))
@@ -268,7 +282,7 @@ def test_json_has_no_nan(capsys: pytest.CaptureFixture[str]) -> None:
 
 def bus_arguments(*words: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
-    bus_flags.add_sdo_arguments(parser)
+    bus_flags.add_bus_arguments(parser, sdo=True)
     common.add_confirm_argument(parser)
     return parser.parse_args(words)
 

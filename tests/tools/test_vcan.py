@@ -16,6 +16,7 @@ import pytest
 
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce_tools import vcan
+from tipforce_tools.cli.main import main
 from tipforce_tools.kernel import host, uml
 
 SCRIPT = files("tipforce_tools.kernel").joinpath("init.sh").read_text()
@@ -204,10 +205,11 @@ def test_a_timeout_ends_the_command_and_says_so(
 
 def test_a_terminating_signal_is_130(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", stdin(terminal=False))
+    monkeypatch.setattr(host, "choose", lambda *_: "direct")
     timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGTERM))
     timer.start()
     try:
-        assert host.run_here(python("import time; time.sleep(60)"), timeout_s=30.0) == 130
+        assert main(["vcan", "--timeout", "30", "--", *python("import time; time.sleep(60)")]) == 130
     finally:
         timer.cancel()
         timer.join()
@@ -331,6 +333,7 @@ def test_a_timeout_or_a_signal_ends_the_whole_group(
     printed = capfd.readouterr()
     assert "ended after 0.5 s (--timeout)" in printed.err
     assert ended(int(printed.out))
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as `tipforce` does for each command
     assert boot(f"touch started; echo $$ >{tmp_path}/pid; sleep 0.3; kill -TERM {os.getpid()}; sleep 60") == 130
     assert ended(int((tmp_path / "pid").read_text()))
 

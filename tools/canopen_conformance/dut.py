@@ -36,15 +36,16 @@ def _fits(data: bytes, wanted: Wanted) -> bool:
 
 
 class Dut:
-    """One device on a link. ``product``: of the caller's own cases; ``pdo_id``, ``upload_index``: of the PDO set up and
-    the upload begun. Received frames stay pending until a check consumes them."""
+    """One device on a link. ``product``: of the caller's own cases; ``pdo_id``: of the PDO set up; ``upload_index``,
+    ``upload_size``, ``data``: of the transfer begun. Received frames stay pending until a check consumes them."""
 
     def __init__(self, link: Link, node_id: int, product: Product | None = None) -> None:
         self.link = link
         self.node_id = node_id
         self.product = product
         self.log: list[str] = []
-        self.pdo_id = self.upload_index = 0
+        self.pdo_id = self.upload_index = self.upload_size = 0
+        self.data = b""
         self._pending: deque[Frame] = deque(maxlen=_KEPT)
         self._survey: dict[tuple[int, int], bool] = {}
         self._own_sync: list[tuple[int, bytes]] | None = None
@@ -289,7 +290,7 @@ class Dut:
                 part = data[offset : offset + 7]
                 command = (offset // 7 & 1) << 4 | 7 - len(part) << 1 | (offset + 7 >= len(data))
                 answer = self.ask(bytes((command,)) + part)
-        return int.from_bytes(answer[4:], "little") if answer[0] == 0x80 else 0
+        return wire.abort_code(answer)
 
     def read(self, index: int, sub: int = 0) -> bytes:
         """Upload; it must succeed."""
@@ -297,6 +298,11 @@ class Dut:
         if isinstance(data, int):
             raise CheckError(f"{index:04X}h:{sub:02X} to be read", f"abort {data:08X}h")
         return data
+
+    def reads(self, index: int, sub: int, data: bytes) -> None:
+        """Check the bytes of an entry."""
+        data_read = self.read(index, sub)
+        check(data_read == data, f"{index:04X}h:{sub:02X} = {data.hex(' ')}", data_read.hex(" "))
 
     def number(self, kind: str, index: int, sub: int = 0) -> float:
         """Upload a number; ``kind`` is struct's letter, and the size must match it."""
@@ -355,8 +361,7 @@ class Dut:
         if key not in self._survey:
             fresh = self._fresh
             first = self.ask(struct.pack("<BHB", 0x40, index, sub), lambda d: d[0] & 0xE0 in (0x40, 0x80))
-            lacks = first[0] == 0x80 and int.from_bytes(first[4:], "little") in (Abort.NO_OBJECT, Abort.NO_SUB)
-            self._survey[key] = not lacks
+            self._survey[key] = wire.abort_code(first) not in (Abort.NO_OBJECT, Abort.NO_SUB)
             if first[0] != 0x80 and not first[0] & 2:
                 # Segments would follow, ten thousand of them for the EDS in 1021h: the initiate response is enough.
                 self.abort(index, sub)
@@ -366,6 +371,11 @@ class Dut:
     def is_of_product(self) -> bool:
         """Return whether 1018h:2 is a product code of ``product``."""
         return self.product is not None and self.product_code & self.product.mask == self.product.code
+
+    @cached_property
+    def identity(self) -> list[int]:
+        """1018h:1-4, which is read once: also for when the device has no SDO."""
+        return [self.integer("I", 0x1018, sub) for sub in (1, 2, 3, 4)]
 
     @cached_property
     def product_code(self) -> int:

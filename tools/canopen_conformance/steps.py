@@ -3,11 +3,11 @@ function of the Dut; arguments that only the running case knows are ``late``."""
 
 import math
 import struct
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
-from canopen_conformance.case import Step, check
+from canopen_conformance.case import Needs, Step, check
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import Frame
 
@@ -63,6 +63,20 @@ def within(dut: Dut, /, context: Callable[[Dut], AbstractContextManager[object]]
             taken(dut)
 
 
+def undone_by(*steps: Step) -> Callable[[Dut], AbstractContextManager[None]]:
+    """Return the context that takes these steps at its end, also after a failure."""
+
+    @contextmanager
+    def undone(dut: Dut) -> Iterator[None]:
+        try:
+            yield
+        finally:
+            for taken in steps:
+                taken(dut)
+
+    return undone
+
+
 @step
 def after(dut: Dut, /, ms: float, what: str, frame: Callable[[Dut], Frame]) -> None:
     """Check that the frame of a step arrives so many milliseconds from now; ``what`` is this time."""
@@ -86,12 +100,20 @@ def matches(dut: Dut, /, kind: str, index: int, sub: int, mask: int, bits: int, 
 
 
 @step
-def unchanged(dut: Dut, /, kind: str, index: int, sub: int, *steps: Step) -> None:
-    """Take the steps, and check that they left the value of an object as it was."""
-    before = dut.number(kind, index, sub)
+def between(dut: Dut, /, kind: str, index: int, sub: int, low: int, high: int) -> None:
+    """Check that an integer lies in a range."""
+    value = dut.integer(kind, index, sub)
+    check(low <= value <= high, f"{index:04X}h:{sub:02X} in {low:X}h..{high:X}h", f"{value:X}h")
+
+
+@step
+def unchanged(dut: Dut, /, entries: Needs, *steps: Step) -> None:
+    """Take the steps, and check that they left the entries as they were."""
+    before = [dut.read(*entry) for entry in entries]
     for taken in steps:
         taken(dut)
-    dut.holds(kind, index, sub, before)
+    for entry, data in zip(entries, before, strict=True):
+        dut.reads(*entry, data)
 
 
 @step
@@ -115,13 +137,6 @@ def known(dut: Dut, /, index: int, sub: int, is_known: bool) -> None:
     """Check whether a REAL32 is a number or unknown, as NaN."""
     value = dut.number("f", index, sub)
     check(math.isnan(value) != is_known, f"{index:04X}h:{sub:02X} {'known' if is_known else 'unknown'}", str(value))
-
-
-@step
-def reads(dut: Dut, /, index: int, data: bytes) -> None:
-    """Check the bytes of sub-index 0."""
-    data_read = dut.read(index)
-    check(data_read == data, f"{index:04X}h = {data.hex(' ')}", data_read.hex(" "))
 
 
 def __getattr__(name: str) -> Callable[..., Callable[[Dut], Any]]:

@@ -64,6 +64,11 @@ class Abort:
     NO_DATA = 0x08000024
 
 
+def abort_code(data: bytes) -> int:
+    """Return the code of an SDO abort, 0 of another SDO frame."""
+    return int.from_bytes(data[4:], "little") if data[0] == 0x80 else 0
+
+
 class Frame(NamedTuple):
     """A frame with its SocketCAN identifier and the time of its arrival in microseconds."""
 

@@ -22,8 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     from canopen_conformance.__main__ import add_arguments as add_case_arguments
 
     add_case_arguments(parser, common.node_id)
-    common.add_confirm_argument(parser)
-    bus_flags.add_bus_arguments(parser)
+    bus_flags.add_bus_arguments(parser, confirm=True)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -33,7 +32,6 @@ def run(args: argparse.Namespace) -> int:
     from canopen_conformance.run import listing, run_and_print
     from canopen_conformance.wire import BusLink
     from tipforce_tools import fingertip_cases
-    from tipforce_tools.cli.main import terminate_as_interrupt
 
     cases = by_clause(matching(args.case, all_cases(fingertip_cases)))
     if not cases:
@@ -46,7 +44,6 @@ def run(args: argparse.Namespace) -> int:
     node = common.shown_node(args.node_id)
     if args.persistent:
         bus_flags.confirm(args, f"{node}: stored parameters return to defaults, node-id and bit rate are written")
-    terminate_as_interrupt()
     with bus_flags.open_bus(args) as bus:
         dut = Dut(BusLink(bus, args.tolerance), args.node_id, fingertip_cases.FINGERTIP)
         try:

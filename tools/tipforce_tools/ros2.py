@@ -50,13 +50,11 @@ def run(args: argparse.Namespace) -> int:
     _check(args, is_hand)
     from tipforce_robots.ros2.bridge import OK, Bridge
     from tipforce_robots.ros2.dds import RosDomain, domain_id, namespace
-    from tipforce_tools.cli.main import terminate_as_interrupt
 
     prefix, domain = namespace(args.namespace), domain_id(args.domain)
     with closing(_feed(args, Path(args.source) if is_hand else None)) as feed:
         bridge = Bridge(feed, RosDomain(domain), prefix, args.allow_tare)
         common.note(f"publishing {prefix or '/'} in ROS 2 domain {domain}; Ctrl-C ends it")
-        terminate_as_interrupt()
         end_s = math.inf if args.seconds is None else time.monotonic() + args.seconds
         try:
             while not feed.ended and time.monotonic() < end_s:

@@ -1,6 +1,7 @@
 """EMCY (CiA 301, 7.2.7), SYNC (7.2.5), TIME and the high-resolution time stamp (7.2.6)."""
 
 import struct
+from collections.abc import Iterable
 
 from canopen_conformance import steps as do
 from canopen_conformance.case import NotApplicableError, Service, check
@@ -109,22 +110,10 @@ emcy("moved 7.5.2.17: switched off, moved, switched on", NEEDS,
 for value in (0x000, 0x07F, 0x101, 0x581, 0x601, 0x6E0, 0x701, 0x20000390, 0x40000390, 0x00001390):
     emcy(f"refused 7.5.2.17: 1014h = {value:08X}h: 06090030h", NEEDS,
         switch_off, do.refuses("I", 0x1014, 0, value, Abort.INVALID_VALUE))
-
-
-@emcy("7.5.2.18: the inhibit time lies between two messages, and none is lost", INHIBIT)
-def inhibit(dut: Dut) -> None:
-    dut.put("H", 0x1015, 0, 500)
-    make_error(dut)
-    first_us = dut.now_us
-    dut.send(0x080)
-    break_sync(dut)
-    dut.send(0x080)
-    for number, wanted in enumerate(("00 00 *", "40 82 *", "00 00 *"), 1):
-        frame = dut.expect(EMCY, wanted, 80)
-        dut.check_ms("inhibit times of 50 ms", frame.at_us - first_us, 50 * number)
-    dut.silence(EMCY, ms=70)
-
-
+emcy("inhibit 7.5.2.18: the inhibit time lies between two messages, and none is lost", INHIBIT,
+    do.put("H", 0x1015, 0, 500), make_error, do.send(0x080), break_sync, do.send(0x080),
+    *(do.after(50, "inhibit time", do.expect(EMCY, wanted, 80)) for wanted in ("00 00 *", "40 82 *", "00 00 *")),
+    do.silence(EMCY, ms=70))
 emcy("no_inhibit 7.5.2.18: inhibit time 0: every message at once", INHIBIT,
     do.put("H", 0x1015, 0, 0), do.repeat(3, make_error, cure_error))
 emcy("operational 7.3.2.3: EMCY is sent in OPERATIONAL", NEEDS,
@@ -138,15 +127,15 @@ LENGTH = (*pdo.TPDO1, (0x1019, 0), (0x1014, 0))
 sync("default 7.3.3: the default CAN-ID of SYNC is 080h", ((0x1005, 0),),
     do.matches("I", 0x1005, 0, 0x3FFFFFFF, 0x80, "1005h = 080h"))
 sync("moved 7.5.2.5: SYNC on another CAN-ID: that one alone acts", (*pdo.TPDO1, (0x1005, 0)),
-    do.run(pdo.enable_tpdo1, 1), do.put("I", 0x1005, 0, 0x90), do.nmt(START), do.send(0x080), do.silence(PDO),
+    pdo.enable_tpdo1, do.put("I", 0x1005, 0, 0x90), do.nmt(START), do.send(0x080), do.silence(PDO),
     do.send(0x090), do.expect(PDO))
 sync("bit_31 7.5.2.5: bit 31 of 1005h is not looked at", (*pdo.TPDO1, (0x1005, 0)),
-    do.run(pdo.enable_tpdo1, 1), do.put("I", 0x1005, 0, 0x80000090), do.nmt(START), do.send(0x090), do.expect(PDO))
+    pdo.enable_tpdo1, do.put("I", 0x1005, 0, 0x80000090), do.nmt(START), do.send(0x090), do.expect(PDO))
 for can_id in (0x000, 0x07F, 0x101, 0x580 | 5, 0x600 | 5, 0x6E0, 0x701):
     sync(f"restricted 7.3.5: 1005h with the restricted CAN-ID {can_id:03X}h: 06090030h", ((0x1005, 0),),
         do.refuses("I", 0x1005, 0, can_id, Abort.INVALID_VALUE))
 sync("remote_frame 7.2.5: a remote frame is no SYNC", pdo.TPDO1,
-    do.run(pdo.start_tpdo1, 1), do.send(0x080 | REMOTE_FLAG), do.silence(PDO))
+    pdo.start_tpdo1, do.send(0x080 | REMOTE_FLAG), do.silence(PDO))
 for value in (1, 241, 255):
     sync(f"overflow_refused 7.5.2.22: 1019h = {value} is refused", ((0x1019, 0),),
         do.refuses("B", 0x1019, 0, value, Abort.INVALID_VALUE, Abort.TOO_HIGH), do.holds("B", 0x1019, 0, 0))
@@ -154,42 +143,39 @@ for value in (0, 2, 240):
     sync(f"overflow_taken 7.5.2.22: 1019h = {value} is taken", ((0x1019, 0),),
         do.put("B", 0x1019, 0, value, required=True), do.holds("B", 0x1019, 0, value))
 sync("counted 7.2.5.3.1: with 1019h a SYNC with its counter acts", COUNTER,
-    do.run(pdo.enable_tpdo1, 1), do.put("B", 0x1019, 0, 10), do.nmt(START),
+    pdo.enable_tpdo1, do.put("B", 0x1019, 0, 10), do.nmt(START),
     *(step for counter in (1, 2, 10, 1) for step in (do.send(0x080, bytes((counter,))), do.expect(PDO))))
 for overflow, data, what in (
     (0, "01", "one byte without 1019h"), (0, "01 02 03 04 05 06 07 08", "eight bytes without 1019h"),
     (10, "", "no data with 1019h"), (10, "01 02", "two bytes with 1019h"),
 ):
     sync(f"wrong_length 7.2.5.3.1: SYNC of {what}: EMCY 8240h, and no TPDO", LENGTH,
-        do.run(pdo.enable_tpdo1, 1), do.put("B", 0x1019, 0, overflow), do.nmt(START), do.send(0x080, data),
+        pdo.enable_tpdo1, do.put("B", 0x1019, 0, overflow), do.nmt(START), do.send(0x080, data),
         do.expect(EMCY, "40 82 *"), do.silence(PDO))
 
 
-@sync("7.5.2.37: SYNC start value {1}, type {0}: the first TPDO goes with that counter", COUNTER, each=[
-    (1, 3, (1, 2, 3, 4, 5), (3, 4, 5)), (2, 4, (1, 2, 3, 4, 5, 6, 7), (4, 6)), (1, 1, (2, 3, 10, 1, 2), (1, 2)),
-])
-def start_value(dut: Dut, transmission: int, start: int, counters: tuple[int, ...], answered: tuple[int, ...]) -> None:
-    can_id = pdo.enable_tpdo1(dut, transmission, sync_start=start)
-    dut.put("B", 0x1019, 0, 10)
-    dut.nmt(START)
-    numbers = []
-    for counter in counters:
-        dut.send(0x080, bytes((counter,)))
-        if dut.heard(can_id, 10):
-            numbers.append(counter)
-    check(tuple(numbers) == answered, f"TPDOs with the counters {answered}", str(numbers))
+def answers(dut: Dut, counters: Iterable[int], wanted: list[int]) -> None:
+    """The TPDO answers the SYNCs with these counters."""
+    answered = pdo.on_syncs(dut, counters, counted=True)
+    check(answered == wanted, f"TPDOs with the counters {wanted}", str(answered))
 
 
+for transmission, start, counters, wanted in (
+    (1, 3, (1, 2, 3, 4, 5), [3, 4, 5]), (2, 4, (1, 2, 3, 4, 5, 6, 7), [4, 6]), (1, 1, (2, 3, 10, 1, 2), [1, 2]),
+):
+    sync(f"start_value 7.5.2.37: SYNC start value {start}, type {transmission}: the first TPDO goes with that counter",
+        COUNTER,
+        do.run(pdo.enable_tpdo1, transmission, sync_start=start), do.put("B", 0x1019, 0, 10), do.nmt(START),
+        do.run(answers, counters, wanted))
 sync("start_without_counter 7.5.2.37: without a counter the start value has no meaning", COUNTER,
-    do.run(pdo.start_tpdo1, 1, sync_start=5), do.send(0x080), do.expect(PDO))
+    do.run(pdo.start_tpdo1, sync_start=5), do.send(0x080), do.expect(PDO))
 
 
 for wait_ms, when, fate in ((10, "within", "taken"), (150, "after", "discarded")):
     sync(f"window 7.5.2.7: a synchronous RPDO {when} the window of 1007h is {fate}",
         ((0x1007, 0), (0x1013, 0), (0x1400, 1), (0x1600, 0)),
-        do.run(pdo.mapped_rpdo1, pdo.TIME_U32, transmission=1), do.put("I", 0x1007, 0, 80000), do.nmt(START),
-        pdo.set_time, do.send(0x080), do.sleep(wait_ms), pdo.sends_6, do.send(0x080),
-        do.run(pdo.rpdo_was, fate, 0x60000000))
+        do.run(pdo.mapped_rpdo1, transmission=1), do.put("I", 0x1007, 0, 80000), do.nmt(START), pdo.set_time,
+        do.send(0x080), do.sleep(wait_ms), pdo.sends_6, do.send(0x080), do.run(pdo.rpdo_was, fate, 0x60000000))
 
 
 TIME = ((0x1012, 0),)
@@ -216,18 +202,15 @@ for size in (0, 5, 8):
         do.ask("40 00 10 00", "43 00 10 00 *"))
 
 
-@time("7.5.2.16: 1013h counts microseconds", HIGH_RESOLUTION)
-def runs(dut: Dut) -> None:
-    first, start_us = dut.integer("I", 0x1013), dut.now_us
-    dut.sleep(100)
-    second, end_us = dut.integer("I", 0x1013), dut.now_us
-    dut.check_ms("between two readings", (second - first) & 0xFFFFFFFF, (end_us - start_us) / 1000)
-
-
-@time("7.5.2.16: 1013h runs on from what is written, and wraps", HIGH_RESOLUTION)
-def written(dut: Dut) -> None:
-    dut.put("I", 0x1013, 0, 0xFFFFFFF0)
+def runs_on(dut: Dut, first: int) -> None:
+    """1013h runs on in microseconds from this value, which it has now."""
     start_us = dut.now_us
-    dut.sleep(50)
-    time_us = dut.integer("I", 0x1013)
-    dut.check_ms("since the write", (time_us + 0x10) & 0xFFFFFFFF, (dut.now_us - start_us) / 1000)
+    dut.sleep(100)
+    last = dut.integer("I", 0x1013)
+    dut.check_ms(f"from {first:08X}h on", (last - first) & 0xFFFFFFFF, (dut.now_us - start_us) / 1000)
+
+
+time("runs 7.5.2.16: 1013h counts microseconds", HIGH_RESOLUTION,
+    do.run(runs_on, do.late(Dut.integer)("I", 0x1013)))
+time("written 7.5.2.16: 1013h runs on from what is written, and wraps", HIGH_RESOLUTION,
+    do.put("I", 0x1013, 0, 0xFFFFFFF0), do.run(runs_on, 0xFFFFFFF0))

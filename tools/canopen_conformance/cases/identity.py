@@ -1,13 +1,11 @@
 """Identity of the device (CiA 301, 7.5.2.1 to 7.5.2.33), and its stored parameters (7.5.2.13 and 7.5.2.14)."""
 
 import struct
-from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import product
 
 from canopen_conformance import steps as do
 from canopen_conformance.case import NotApplicableError, Service, check
-from canopen_conformance.cases.pdo import TPDO1, check_mapped
+from canopen_conformance.cases.pdo import TPDO1, check_mapped, disable_pdo, move_pdo
 from canopen_conformance.cases.sdo import NAMES
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE, RESETS, START, Abort
@@ -21,7 +19,7 @@ SERVER = ((0x1200, 1), (0x1200, 2))
 
 
 identity("device_type 7.5.2.1: 1000h is there, an UNSIGNED32, and stays the same", (),
-    do.unchanged("I", 0x1000, 0))
+    do.integer("I", 0x1000), do.unchanged(((0x1000, 0),)))
 identity("error_register 7.5.2.2: 1001h is there, an UNSIGNED8", (),
     do.integer("B", 0x1001))
 identity("status_register 7.5.2.3: 1002h is an UNSIGNED32 that cannot be written", ((0x1002, 0),),
@@ -58,7 +56,7 @@ for sub in (1, 2):
     identity(f"configuration_date 7.5.2.23: 1020h:{sub} is written and read back", ((0x1020, 1), (0x1020, 2)),
         do.put("I", 0x1020, sub, 0x12345678), do.holds("I", 0x1020, sub, 0x12345678))
 identity("configuration_lost 7.5.2.23: 1020h is lost with what it speaks of, unless stored", ((0x1020, 1),),
-    do.unchanged("I", 0x1020, 1, lambda dut: dut.put("I", 0x1020, 1, dut.integer("I", 0x1020, 1) ^ 0xFF), do.reset()))
+    do.unchanged(((0x1020, 1),), lambda dut: dut.put("I", 0x1020, 1, dut.integer("I", 0x1020, 1) ^ 0xFF), do.reset()))
 for sub, base in ((1, 0x600), (2, 0x580)):
     identity(f"sdo_server 7.5.2.33: 1200h:{sub} is the pre-defined COB-ID {base:03X}h + node-id", SERVER,
         do.run(lambda dut, sub, base: dut.holds("I", 0x1200, sub, base + dut.node_id), sub, base))
@@ -90,15 +88,7 @@ WRONG_SIGNATURE = (Abort.NOT_STORED, Abort.GENERAL_ERROR, Abort.INVALID_VALUE)
 BOTH = [(0x1010, "store"), (0x1011, "restore")]
 ALL = (*GROUP, (0x1016, 1))
 VALUE = 0x700000 | 4711  # for 1016h:1, which every default leaves at 0
-
-
-@contextmanager
-def restored(dut: Dut, sub: int = 1) -> Iterator[None]:
-    """After it the group is at its defaults again."""
-    try:
-        yield
-    finally:
-        dut.put("I", 0x1011, sub, LOAD)
+restored = do.undone_by(do.put("I", 0x1011, 1, LOAD))  # after it all parameters are at their defaults again
 
 
 def store(dut: Dut, sub: int) -> None:
@@ -123,7 +113,7 @@ for index, name in BOTH:
         do.run(lambda dut, index: dut.refuses("I", index, dut.integer("B", index, 0) + 1, SAVE, Abort.NO_SUB), index))
 for command, name in RESETS:
     storage(f"not_stored 7.5.2.13: what is not stored is lost by {name}", ((0x1016, 1),),
-        do.unchanged("I", 0x1016, 1, do.put("I", 0x1016, 1, VALUE), do.reset(command)))
+        do.unchanged(((0x1016, 1),), do.put("I", 0x1016, 1, VALUE), do.reset(command)))
 
 
 for sub, (command, name) in product((1, 2), RESETS):
@@ -135,19 +125,8 @@ for sub, command in ((1, RESET_NODE), (2, RESET_COMMUNICATION)):
         (*ALL, (0x1011, sub)),
         do.within(restored, do.put("I", 0x1016, 1, VALUE), do.run(store, 1), do.put("I", 0x1011, sub, LOAD),
             do.holds("I", 0x1016, 1, VALUE), do.reset(command), do.holds("I", 0x1016, 1, 0)), persistent=True)
-
-
-@storage("7.5.2.13: PDO parameters are stored, and the PDO works as stored", ((0x1010, 2), *TPDO1), persistent=True)
-def stored_pdo(dut: Dut) -> None:
-    cob_id = dut.integer("I", 0x1800, 1)
-    check_mapped(dut)
-    with restored(dut):
-        dut.put("I", 0x1800, 1, cob_id | 0x80000000)
-        dut.put("B", 0x1800, 2, 1)
-        dut.put("I", 0x1800, 1, cob_id & 0x40000000 | 0x3A5)
-        store(dut, 2)
-        dut.reset(RESET_NODE)
-        dut.holds("I", 0x1800, 1, cob_id & 0x40000000 | 0x3A5)
-        dut.nmt(START)
-        dut.send(0x080)
-        dut.expect(0x3A5)
+storage("stored_pdo 7.5.2.13: PDO parameters are stored, and the PDO works as stored", ((0x1010, 2), *TPDO1),
+    check_mapped, do.within(restored,
+        do.run(disable_pdo, 0x1800), do.put("B", 0x1800, 2, 1), do.run(move_pdo, 0x1800),
+        do.unchanged(((0x1800, 1), (0x1800, 2)), do.run(store, 2), do.reset(RESET_NODE)),
+        do.nmt(START), do.send(0x080), do.expect(0x390)), persistent=True)

@@ -1,15 +1,15 @@
 """NMT: transitions, resets, boot-up, what each state allows; heartbeat and node guarding (CiA 301, 7.2.8 and 7.3.2)."""
 
 import struct
-from functools import partial
 from itertools import product
 
 from canopen_conformance import steps as do
 from canopen_conformance import wire
-from canopen_conformance.case import NotApplicableError, Service
+from canopen_conformance.case import Service
 from canopen_conformance.cases.emcy import break_sync
-from canopen_conformance.cases.identity import SAVE, restored
-from canopen_conformance.cases.pdo import TIME_U32, TPDO1, enable_tpdo1, mapped_rpdo1, rpdo_was, set_time
+from canopen_conformance.cases.identity import LOAD, SAVE
+from canopen_conformance.cases.pdo import TPDO1, enable_tpdo1, mapped_rpdo1, rpdo_was, set_time
+from canopen_conformance.cases.sdo import begin_upload, over
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import EMCY, HEARTBEAT, PDO, SDO, Abort
 
@@ -61,31 +61,20 @@ for before, state in wire.STATES[:2]:
 nmt("sdo_stopped 7.3.2.3: SDO is not served in STOPPED, and served again after it", (),
     do.nmt(wire.STOP), do.request("40 00 10 00"), do.silence(SDO), do.nmt(wire.ENTER_PRE_OPERATIONAL),
     do.ask("40 00 10 00", "43 00 10 00 *"))
-
-
-@nmt("7.3.2.3: stop ends an SDO transfer without a word", ((0x1008, 0),))
-def stop_ends_sdo(dut: Dut) -> None:
-    if dut.ask("40 08 10 00")[0] & 0xE3 != 0x41:
-        raise NotApplicableError("1008h fits into one frame")
-    dut.nmt(wire.STOP)
-    dut.request("60")
-    dut.silence(SDO)
-    dut.nmt(wire.ENTER_PRE_OPERATIONAL)
-    dut.ask("60", lambda data: data[0] == 0x80)
-
-
+nmt("stop_ends_sdo 7.3.2.3: stop ends an SDO transfer without a word", (),
+    begin_upload, do.nmt(wire.STOP), do.request("60"), do.silence(SDO), do.nmt(wire.ENTER_PRE_OPERATIONAL), over)
 for before, state in wire.STATES:
     nmt(f"tpdo_by_state 7.3.2.3: a synchronous TPDO in {state}: {'sent' if before == wire.OPERATIONAL else 'silent'}",
         TPDO1,
-        do.run(enable_tpdo1, 1), do.enter(before), do.send(0x080),
+        enable_tpdo1, do.enter(before), do.send(0x080),
         do.expect(PDO) if before == wire.OPERATIONAL else do.silence(PDO))
 nmt("tpdo_leave_and_return 7.3.2.3: TPDOs stop when OPERATIONAL is left, and go on when it is entered again", TPDO1,
-    do.run(enable_tpdo1, 1),
+    enable_tpdo1,
     *(step for command in (wire.ENTER_PRE_OPERATIONAL, wire.STOP) for step in (
         do.nmt(wire.START), do.send(0x080), do.expect(PDO), do.nmt(command), do.send(0x080), do.silence(PDO))))
 for (before, state), does in zip(wire.STATES, ("ignored", "taken"), strict=False):
     nmt(f"rpdo_by_state 7.3.2.3: an RPDO in {state}: {does}", ((0x1013, 0), (0x1400, 1), (0x1600, 0)),
-        do.run(mapped_rpdo1, TIME_U32), set_time, do.enter(before), do.send(PDO, struct.pack("<I", 0x70000000)),
+        mapped_rpdo1, set_time, do.enter(before), do.send(PDO, struct.pack("<I", 0x70000000)),
         do.run(rpdo_was, does, 0x70000000))
 nmt("emcy_waits 7.3.2.3: an EMCY waits while STOPPED and comes after it", ((0x1014, 0), (0x1016, 1)),
     do.put("I", 0x1016, 1, 0x700000 | 40), do.send(0x770, "05"), do.nmt(wire.STOP), do.silence(EMCY, ms=100),
@@ -94,7 +83,7 @@ nmt("sync_stopped 7.3.2.3: SYNC is not looked at in STOPPED", ((0x1005, 0), (0x1
     do.nmt(wire.STOP), break_sync, do.nmt(wire.ENTER_PRE_OPERATIONAL), do.silence(EMCY))
 nmt("self_start CiA 302-2 1F80h: bit 2 clear and stored: OPERATIONAL by itself after boot-up",
     ((0x1F80, 0), (0x1010, 2), (0x1011, 2), (0x1017, 0)),
-    do.waits_for_start(), do.within(partial(restored, sub=2),
+    do.waits_for_start(), do.within(do.undone_by(do.put("I", 0x1011, 2, LOAD)),
         do.put("I", 0x1F80, 0, 0), do.put("H", 0x1017, 0, 20), do.put("I", 0x1010, 2, SAVE),
         do.reset(wire.RESET_COMMUNICATION), do.state(wire.OPERATIONAL)), persistent=True)
 

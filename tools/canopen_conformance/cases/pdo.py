@@ -1,6 +1,7 @@
 """PDOs: transmission, reception, timers (CiA 301, 7.2.2); which parameters may be written (7.5.2.35 to 7.5.2.38)."""
 
 import struct
+from collections.abc import Iterable
 from itertools import pairwise, product
 
 from canopen_conformance import steps as do
@@ -27,6 +28,11 @@ def disable_pdo(dut: Dut, communication: int) -> int:
     return cob_id
 
 
+def enable_pdo(dut: Dut, communication: int) -> None:
+    """Make a PDO valid, with its own COB-ID."""
+    dut.put("I", communication, 1, disable_pdo(dut, communication))
+
+
 def move_pdo(dut: Dut, communication: int) -> int:
     """Disable a PDO, give it the CAN-ID 390h, enable it; return the new COB-ID."""
     cob_id = disable_pdo(dut, communication) & ~0x7FF | 0x390
@@ -45,13 +51,13 @@ def remap(dut: Dut, mapping: int, *words: int) -> None:
 
 def enable_tpdo1(
     dut: Dut,
-    transmission: int,
+    transmission: int = 1,
     *words: int,
     inhibit_100us: int | None = None,
     event_ms: int | None = None,
     sync_start: int | None = None,
-) -> int:
-    """Set up TPDO1 (no words: mapping unchanged) as ``Dut.pdo_id``: its CAN-ID. Not applicable without a mapping."""
+) -> None:
+    """Set up TPDO1, by default for each SYNC with its own mapping, as ``Dut.pdo_id``; not applicable without one."""
     cob_id = disable_pdo(dut, 0x1800)
     if words:
         remap(dut, 0x1A00, *words)
@@ -63,14 +69,12 @@ def enable_tpdo1(
             dut.put(kind, 0x1800, sub, value or 0)
     dut.put("I", 0x1800, 1, cob_id)
     dut.pdo_id = cob_id & 0x7FF
-    return dut.pdo_id
 
 
-def start_tpdo1(dut: Dut, /, transmission: int, *words: int, **timing: int | None) -> int:
+def start_tpdo1(dut: Dut, /, transmission: int = 1, *words: int, **timing: int | None) -> None:
     """Set up TPDO1 as ``enable_tpdo1`` does, and start the device."""
-    can_id = enable_tpdo1(dut, transmission, *words, **timing)
+    enable_tpdo1(dut, transmission, *words, **timing)
     dut.nmt(START)
-    return can_id
 
 
 def check_mapped(dut: Dut) -> None:
@@ -86,16 +90,15 @@ def check_mapped(dut: Dut) -> None:
             raise NotApplicableError(f"TPDO1 maps {word:08X}h, which no object of the device fits")
 
 
-def mapped_rpdo1(dut: Dut, *words: int, transmission: int = 255, event_ms: int = 0) -> int:
-    """Set up a valid RPDO1 with this mapping as ``Dut.pdo_id``; return its CAN-ID."""
+def mapped_rpdo1(dut: Dut, *words: int, transmission: int = 255, event_ms: int = 0) -> None:
+    """Set up a valid RPDO1 with this mapping, by default that of 1013h, as ``Dut.pdo_id``."""
     cob_id = disable_pdo(dut, 0x1400)
-    remap(dut, 0x1600, *words)
+    remap(dut, 0x1600, *(words or (TIME_U32,)))
     dut.put("B", 0x1400, 2, transmission)
     if event_ms:
         dut.put("H", 0x1400, 5, event_ms)
     dut.put("I", 0x1400, 1, cob_id)
     dut.pdo_id = cob_id & 0x7FF
-    return dut.pdo_id
 
 
 def start_rpdo1(dut: Dut, *words: int, transmission: int = 255, event_ms: int = 0) -> None:
@@ -111,24 +114,25 @@ TIME_U32 = 0x10130020  # 1013h, 32 bits: it may be mapped into either direction
 TIME = 0x1013
 
 
-def on_syncs(dut: Dut, can_id: int, count: int) -> list[int]:
-    """Which of ``count`` SYNCs, from 1, the TPDO answered."""
+def on_syncs(dut: Dut, numbers: Iterable[int], counted: bool = False) -> list[int]:
+    """Which of these SYNCs the TPDO answered; ``counted``: they carry their number."""
     answered = []
-    for number in range(1, count + 1):
-        dut.send(0x080)
-        if dut.heard(can_id, 10) is not None:
+    for number in numbers:
+        dut.send(0x080, bytes((number,) if counted else ()))
+        if dut.heard(PDO, 10) is not None:
             answered.append(number)
     return answered
 
 
-@tpdo("7.2.2.2: type {0}: one TPDO for {0} SYNCs", TPDO1, each=[(1,), (2,), (3,), (5,)])
-def cyclic(dut: Dut, transmission: int) -> None:
-    can_id = start_tpdo1(dut, transmission)
-    answered = on_syncs(dut, can_id, 3 * transmission)
-    right = [b - a for a, b in pairwise(answered)] == 2 * [transmission]
-    check(right, f"three TPDOs, {transmission} SYNCs apart", f"answers to SYNC {answered}")
+def cyclic(dut: Dut, every: int) -> None:
+    """One TPDO for so many SYNCs."""
+    answered = on_syncs(dut, range(3 * every))
+    check([b - a for a, b in pairwise(answered)] == 2 * [every], f"three TPDOs, {every} SYNCs apart", f"{answered}")
 
 
+for transmission in (1, 2, 3, 5):
+    tpdo(f"cyclic 7.2.2.2: type {transmission}: one TPDO for {transmission} SYNCs", TPDO1,
+        do.run(start_tpdo1, transmission), do.run(cyclic, transmission))
 for transmission in (254, 255):
     tpdo(f"event_driven 7.2.2.2: type {transmission}: a SYNC sends nothing", TPDO1,
         do.run(start_tpdo1, transmission), do.sleep(20), do.forget(PDO), do.send(0x080), do.silence(PDO))
@@ -141,37 +145,23 @@ tpdo("event_timer_off 7.5.2.37: event timer 0 ends the cyclic sending", TIMED,
 tpdo("event_timer_stops 7.5.2.37: the event timer does nothing outside OPERATIONAL", TIMED,
     do.run(enable_tpdo1, 255, event_ms=20), do.silence(PDO, ms=60), do.nmt(START), do.expect(PDO, within_ms=40),
     do.nmt(ENTER_PRE_OPERATIONAL), do.sleep(5), do.forget(PDO), do.silence(PDO, ms=60))
-
-
-@tpdo("7.5.2.37: the inhibit time holds back the event timer", TIMED)
-def inhibit(dut: Dut) -> None:
-    start_tpdo1(dut, 255, event_ms=10, inhibit_100us=800)
-    first = dut.expect(PDO)
-    for _ in range(2):
-        last = dut.expect(PDO, within_ms=120)
-    dut.check_ms("two inhibit times of 80 ms", last.at_us - first.at_us, 160)
-
-
+tpdo("inhibit 7.5.2.37: the inhibit time holds back the event timer", TIMED,
+    do.run(start_tpdo1, 255, event_ms=10, inhibit_100us=800),
+    do.each_ms(80, 2, "two inhibit times of 80 ms", do.expect(PDO, within_ms=120)))
 tpdo("invalid 7.5.2.37: a TPDO with bit 31 set is not sent", TPDO1,
-    do.run(enable_tpdo1, 1), do.run(disable_pdo, 0x1800), do.nmt(START), do.send(0x080), do.silence(PDO))
+    enable_tpdo1, do.run(disable_pdo, 0x1800), do.nmt(START), do.send(0x080), do.silence(PDO))
 tpdo("moved 7.5.2.37: a TPDO that was moved is sent with its new CAN-ID alone", TPDO1,
-    do.run(enable_tpdo1, 1), do.run(move_pdo, 0x1800), do.nmt(START), do.send(0x080), do.expect(0x390), do.silence(PDO))
+    enable_tpdo1, do.run(move_pdo, 0x1800), do.nmt(START), do.send(0x080), do.expect(0x390), do.silence(PDO))
 
 
 @tpdo("7.2.2.5.1: a TPDO is as long as its mapping says", TPDO1)
 def length(dut: Dut) -> None:
-    enable_tpdo1(dut, 1)
+    enable_tpdo1(dut)
     bits = sum(dut.integer("I", 0x1A00, sub) & 0xFF for sub in range(1, dut.integer("B", 0x1A00, 0) + 1))
     dut.nmt(START)
     dut.send(0x080)
     size = len(dut.expect(PDO).data)
     check(size == (bits + 7) // 8, f"{bits} bits", f"{size} bytes")
-
-
-def high_resolution(dut: Dut, at_least: int, below: int) -> None:
-    """1013h, which runs on, lies in this range."""
-    time_us = dut.integer("I", TIME)
-    check(at_least <= time_us < below, f"1013h in {at_least:08X}h..{below:08X}h", f"{time_us:08X}h")
 
 
 def rpdo_was(dut: Dut, fate: str, value: int) -> None:
@@ -182,39 +172,35 @@ def rpdo_was(dut: Dut, fate: str, value: int) -> None:
 
 set_time = do.put("I", TIME, 0, 0)  # so that what an RPDO brings shows
 sends_6 = do.send(PDO, struct.pack("<I", 0x60000000))
-took_6 = do.run(high_resolution, 0x60000000, 0x61000000)
+took_6 = do.between("I", TIME, 0, 0x60000000, 0x60FFFFFF)  # it runs on
+not_6 = do.between("I", TIME, 0, 0, 0x5FFFFFFF)
 for transmission in (254, 255):
     rpdo(f"received 7.2.2.2: an RPDO of type {transmission} acts at once", HIGH_RESOLUTION,
-        do.run(start_rpdo1, TIME_U32, transmission=transmission), set_time, sends_6, took_6)
+        do.run(start_rpdo1, transmission=transmission), set_time, sends_6, took_6)
 for transmission in (0, 1, 240):
     rpdo(f"received_on_sync 7.2.2.2: a synchronous RPDO of type {transmission} acts with the next SYNC",
         HIGH_RESOLUTION,
-        do.run(start_rpdo1, TIME_U32, transmission=transmission), set_time, sends_6,
-        do.run(high_resolution, 0, 0x60000000), do.send(0x080), took_6)
+        do.run(start_rpdo1, transmission=transmission), set_time, sends_6, not_6, do.send(0x080), took_6)
 rpdo("last_before_sync 7.2.2.2: of two synchronous RPDOs before a SYNC the last one acts", HIGH_RESOLUTION,
-    do.run(start_rpdo1, TIME_U32, transmission=1), sends_6, do.send(PDO, struct.pack("<I", 0x70000000)), do.send(0x080),
-    do.run(high_resolution, 0x70000000, 0x71000000))
+    do.run(start_rpdo1, transmission=1), sends_6, do.send(PDO, struct.pack("<I", 0x70000000)), do.send(0x080),
+    do.between("I", TIME, 0, 0x70000000, 0x70FFFFFF))
 rpdo("longer 7.2.2.5.1: a longer RPDO: the mapped bytes count", HIGH_RESOLUTION,
-    do.run(start_rpdo1, TIME_U32), do.send(PDO, struct.pack("<II", 0x60000000, 0x99999999)), took_6)
+    start_rpdo1, do.send(PDO, struct.pack("<II", 0x60000000, 0x99999999)), took_6)
 rpdo("shorter 7.2.2.5.1: a shorter RPDO: EMCY 8210h, nothing is taken", (*HIGH_RESOLUTION, (0x1014, 0)),
-    do.run(start_rpdo1, TIME_U32), set_time, do.send(PDO, "00 00 60"), do.expect(EMCY, "10 82 *"),
-    do.run(high_resolution, 0, 0x600000))
+    start_rpdo1, set_time, do.send(PDO, "00 00 60"), do.expect(EMCY, "10 82 *"), do.between("I", TIME, 0, 0, 0x5FFFFF))
 rpdo("dummies 7.4.7.1: dummy entries skip bytes of an RPDO", HIGH_RESOLUTION,
     do.run(start_rpdo1, 0x00050008, TIME_U32, 0x00060010), do.send(PDO, "AA 00 00 00 60 BB CC"), took_6)
 rpdo("deadline 7.5.2.35: an RPDO that stays away: EMCY 8250h after its event timer", DEADLINE,
-    do.run(start_rpdo1, TIME_U32, event_ms=50), do.send(PDO, bytes(4)),
-    do.after(50, "event timer", do.expect(EMCY, "50 82 *")), do.silence(EMCY, ms=70), do.send(PDO, bytes(4)),
-    do.expect(EMCY, "00 00 *"))
+    do.run(start_rpdo1, event_ms=50), do.send(PDO, bytes(4)), do.after(50, "event timer", do.expect(EMCY, "50 82 *")),
+    do.silence(EMCY, ms=70), do.send(PDO, bytes(4)), do.expect(EMCY, "00 00 *"))
 rpdo("no_deadline 7.5.2.35: an RPDO is not missed before the first one", DEADLINE,
-    do.run(start_rpdo1, TIME_U32, event_ms=40), do.silence(EMCY, ms=100))
+    do.run(start_rpdo1, event_ms=40), do.silence(EMCY, ms=100))
 rpdo("no_deadline 7.5.2.35: an RPDO is not missed after OPERATIONAL was left", DEADLINE,
-    do.run(start_rpdo1, TIME_U32, event_ms=40), do.send(PDO, bytes(4)), do.nmt(ENTER_PRE_OPERATIONAL),
-    do.silence(EMCY, ms=100))
+    do.run(start_rpdo1, event_ms=40), do.send(PDO, bytes(4)), do.nmt(ENTER_PRE_OPERATIONAL), do.silence(EMCY, ms=100))
 rpdo("in_time 7.5.2.35: RPDOs in time: no EMCY", DEADLINE,
-    do.run(start_rpdo1, TIME_U32, event_ms=150), do.repeat(4, do.send(PDO, bytes(4)), do.silence(EMCY, ms=70)))
+    do.run(start_rpdo1, event_ms=150), do.repeat(4, do.send(PDO, bytes(4)), do.silence(EMCY, ms=70)))
 rpdo("invalid_rpdo 7.5.2.35: an RPDO with bit 31 set is not taken", HIGH_RESOLUTION,
-    do.run(mapped_rpdo1, TIME_U32), do.run(disable_pdo, 0x1400), do.nmt(START), set_time, sends_6,
-    do.run(high_resolution, 0, 0x60000000))
+    mapped_rpdo1, do.run(disable_pdo, 0x1400), do.nmt(START), set_time, sends_6, not_6)
 
 
 # The standard names no code for a change while the PDO is valid.
@@ -227,10 +213,9 @@ RESTRICTED = (0x000, 0x001, 0x07F, 0x101, 0x180, 0x581, 0x5FF, 0x601, 0x67F, 0x6
 U8, U16, U32 = 5, 6, 7  # dummy types
 
 
-@parameters("7.5.2.37: sub-index 0 of {2}'s communication parameters", EITHER, each=BOTH)
-def highest_sub(dut: Dut, communication: int, _mapping: int, _name: str) -> None:
-    highest = dut.integer("B", communication, 0)
-    check(2 <= highest <= 6, "2 to 6", str(highest))
+for communication, _, name in BOTH:
+    parameters(f"highest_sub 7.5.2.37: sub-index 0 of {name}'s communication parameters", EITHER,
+        do.between("B", communication, 0, 2, 6))
 
 
 @parameters("7.5.2.37: sub-index 4 of {2} is reserved: 06090011h", EITHER, each=BOTH)
@@ -240,14 +225,11 @@ def reserved_sub(dut: Dut, communication: int, _mapping: int, _name: str) -> Non
     dut.refuses("B", communication, 4, 0, Abort.NO_SUB)
 
 
-@parameters("7.5.2.35: {2}: another CAN-ID while it is valid: 06090030h", EITHER, each=BOTH)
-def moved_while_valid(dut: Dut, communication: int, _mapping: int, _name: str) -> None:
-    cob_id = disable_pdo(dut, communication)
-    dut.put("I", communication, 1, cob_id)
-    dut.refuses("I", communication, 1, cob_id ^ 0x100, Abort.INVALID_VALUE)
-    dut.holds("I", communication, 1, cob_id)
-
-
+other_id = do.late(lambda dut, communication: dut.integer("I", communication, 1) ^ 0x100)
+for communication, _, name in BOTH:
+    parameters(f"moved_while_valid 7.5.2.35: {name}: another CAN-ID while it is valid: 06090030h", EITHER,
+        do.run(enable_pdo, communication), do.unchanged(((communication, 1),),
+            do.refuses("I", communication, 1, other_id(communication), Abort.INVALID_VALUE)))
 for communication, _, name in BOTH:
     parameters(f"moved 7.5.2.35: {name}: disabled, moved, enabled", EITHER,
         do.run(lambda dut, index: dut.holds("I", index, 1, move_pdo(dut, index)), communication))
@@ -276,8 +258,7 @@ parameters("start_value 7.5.2.37: SYNC start value 241 is refused", ((0x1800, 6)
     do.run(disable_pdo, 0x1800), do.refuses("B", 0x1800, 6, 241, Abort.TOO_HIGH, Abort.INVALID_VALUE))
 for (communication, mapping, name), (sub, what) in product(BOTH, ((0, "the number of entries"), (1, "an entry"))):
     parameters(f"mapping_while_valid 7.5.2.36: {name}: {what} is not written while the PDO is valid", EITHER,
-        do.run(lambda dut, index: dut.put("I", index, 1, disable_pdo(dut, index)), communication),
-        do.refuses("I" if sub else "B", mapping, sub, 0, *WHILE_VALID))
+        do.run(enable_pdo, communication), do.refuses("I" if sub else "B", mapping, sub, 0, *WHILE_VALID))
 
 
 @parameters("7.5.2.36: {2}: an entry is not written while sub-index 0 is not 0", EITHER, each=BOTH)
@@ -325,20 +306,8 @@ def refused_mapping(dut: Dut) -> None:
     if dut.try_write(0x1A00, 1, bytes.fromhex("0800FF5F")):
         for sub, word in enumerate(before, 1):
             dut.holds("I", 0x1A00, sub, word)
-
-
-@parameters("7.2.8.2.1.6: reset communication restores mapping, type and COB-ID", TPDO1)
-def pdo_parameters_restored(dut: Dut) -> None:
-    entries = [("I", 0x1800, 1), ("B", 0x1800, 2), ("B", 0x1A00, 0), ("I", 0x1A00, 1)]
-    before = [dut.integer(*entry) for entry in entries]
-    disable_pdo(dut, 0x1800)
-    dut.put("B", 0x1800, 2, 7)
-    remap(dut, 0x1A00)
-    dut.reset(RESET_COMMUNICATION)
-    for entry, value in zip(entries, before, strict=True):
-        dut.holds(*entry, value)
-
-
+parameters("restored 7.2.8.2.1.6: reset communication restores mapping, type and COB-ID", TPDO1,
+    do.unchanged(((0x1800, 1), (0x1800, 2), (0x1A00, 0), (0x1A00, 1)),
+        do.run(disable_pdo, 0x1800), do.put("B", 0x1800, 2, 7), do.run(remap, 0x1A00), do.reset(RESET_COMMUNICATION)))
 parameters("operational 7.5.2.37: PDO parameters are written in OPERATIONAL too", TPDO1,
-    do.enter(OPERATIONAL), do.run(enable_tpdo1, 1), do.send(0x080),
-    lambda dut: dut.expect(dut.integer("I", 0x1800, 1) & 0x7FF))
+    do.enter(OPERATIONAL), enable_tpdo1, do.send(0x080), lambda dut: dut.expect(dut.integer("I", 0x1800, 1) & 0x7FF))

@@ -5,7 +5,7 @@ import struct
 from canopen_conformance import steps as do
 from canopen_conformance.case import NotApplicableError, Service, Step, check
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import EXTENDED_FLAG, REMOTE_FLAG, REQUEST, RESET_COMMUNICATION, SDO, Abort
+from canopen_conformance.wire import EXTENDED_FLAG, REMOTE_FLAG, REQUEST, RESET_COMMUNICATION, SDO, Abort, abort_code
 
 # fmt: off
 # A table: a case is its header, and below it its steps.
@@ -18,7 +18,12 @@ BEAT = ((0x1017, 0),)
 
 def not_written(*steps: Step) -> Step:
     """Take the steps, and check that they left 1017h as it was."""
-    return do.unchanged("H", 0x1017, 0, *steps)
+    return do.unchanged(BEAT, *steps)
+
+
+def unknown(data: bytes) -> bool:
+    """Whether an answer is the abort of an unknown command."""
+    return abort_code(data) == Abort.UNKNOWN_COMMAND
 
 
 over = do.ask("60", lambda data: data[0] == 0x80)  # no transfer goes on: a segment is aborted
@@ -60,15 +65,9 @@ for value in (241, 255):
 for command in ("E0", "FF"):
     expedited(f"unknown_command 7.2.4.3.17: 05040001h: command specifier {command}", (),
         do.request(f"{command} 17 10 00"), do.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND))
-
-
-@expedited("7.2.4.3.17: 05040001h: {1} segment without a transfer", each=[("00", "a download"), ("60", "an upload")])
-def segment_without_transfer(dut: Dut, command: str, _what: str) -> None:
-    dut.request(f"{command} 00 00 00")
-    data = dut.answer()
-    check(data[0] == 0x80 and data[4:] == struct.pack("<I", Abort.UNKNOWN_COMMAND), "abort 05040001h", data.hex(" "))
-
-
+for command, what in (("00", "a download"), ("60", "an upload")):
+    expedited(f"segment_without_transfer 7.2.4.3.17: 05040001h: {what} segment without a transfer", (),
+        do.ask(f"{command} 00 00 00", unknown))
 READ = bytes.fromhex("4000100000000000")  # 1000h
 for length in (0, 1, 4, 7):
     expedited(f"request_length 7.2.4.3: a request of {length} bytes is no SDO", (),
@@ -95,7 +94,7 @@ def highest_sub(dut: Dut, index: int) -> None:
     """Sub-index 0 is the highest sub-index that is there."""
     highest = dut.integer("B", index, 0)
     dut.request(struct.pack("<BHB", 0x40, index, highest))
-    dut.answer(lambda data: data[0] != 0x80 or data[4:] == struct.pack("<I", Abort.WRITE_ONLY))
+    dut.answer(lambda data: abort_code(data) in (0, Abort.WRITE_ONLY))
     dut.request(struct.pack("<BHB", 0x40, index, highest + 1))
     dut.aborted(index, highest + 1, Abort.NO_SUB)
 
@@ -110,17 +109,22 @@ UPLOADED = do.late(lambda dut: dut.upload_index)()  # the object of the upload t
 NAMES = (0x1008, 0x1009, 0x100A)
 
 
-def begin_upload(dut: Dut, above: int = 4) -> int:
-    """Initiate a segmented upload of a string of more than ``above`` bytes; its stated size."""
+def begin_upload(dut: Dut, above: int = 4) -> None:
+    """Initiate a segmented upload of a string of more than ``above`` bytes."""
     for index in NAMES:
         answer = dut.ask(struct.pack("<BHB", 0x40, index, 0))
         if answer[0] == 0x41:
-            size = int(struct.unpack("<I", answer[4:])[0])
-            if size > above:
-                dut.upload_index = index
-                return size
+            dut.upload_index, dut.upload_size = index, int(struct.unpack("<I", answer[4:])[0])
+            if dut.upload_size > above:
+                return
             dut.read_segments()
     raise NotApplicableError(f"no string that is longer than {above} bytes")
+
+
+def read_all(dut: Dut) -> None:
+    """The segments of the upload that was begun are as long as it stated."""
+    size = len(dut.read_segments())
+    check(size == dut.upload_size, f"{dut.upload_size} bytes", f"{size}")
 
 
 def begin_download(dut: Dut, size: int | None = 2) -> None:
@@ -128,12 +132,8 @@ def begin_download(dut: Dut, size: int | None = 2) -> None:
     dut.ask("20 17 10 00" if size is None else f"21 17 10 00 {size:02X}", "60 17 10 00")
 
 
-@segmented("7.2.4.3.7: all segments: the toggle bit alternates from 0, the stated size comes")
-def upload(dut: Dut) -> None:
-    size = begin_upload(dut)
-    size_read = len(dut.read_segments())
-    check(size_read == size, f"{size} bytes", f"{size_read}")
-
+segmented("upload 7.2.4.3.7: all segments: the toggle bit alternates from 0, the stated size comes", (),
+    begin_upload, read_all)
 for segments, when in ((0, "at first"), (1, "later")):
     segmented(f"upload_toggle 7.2.4.3.7: a wrong toggle bit {when}: 05030000h, and the transfer is over", (),
         do.run(begin_upload, max(4, SEGMENT_BYTES * segments)), do.repeat(segments, do.ask("60", "0. *")),
@@ -146,15 +146,8 @@ segmented("upload_wrong_segment 7.2.4.3.17: a download segment during an upload:
     begin_upload, do.request("00"), do.aborted(UPLOADED, 0, Abort.UNKNOWN_COMMAND))
 segmented("upload_reset 7.2.8.2.1.6: reset communication ends a transfer", (),
     begin_upload, do.reset(RESET_COMMUNICATION), over)
-
-
-@segmented("7.2.4.3.7: the value is taken at the initiate: a string read twice is the same")
-def upload_twice(dut: Dut) -> None:
-    begin_upload(dut)
-    first = dut.read_segments()
-    check(dut.read(dut.upload_index) == first, "the same string", "another one")
-
-
+segmented("upload_twice 7.2.4.3.7: the value is taken at the initiate: a string read twice is the same", (),
+    begin_upload, do.reads(UPLOADED, 0, do.late(Dut.read_segments)()))
 for stated, how in ((2, "size stated"), (None, "size not stated")):
     segmented(f"download 7.2.4.3.4: one segment, {how}", BEAT,
         do.run(begin_download, stated), do.ask("0B 34 12", "20"), do.holds("H", 0x1017, 0, 0x1234))
@@ -175,8 +168,7 @@ for segment, how, code in (
     segmented(f"download_wrong_end 7.2.4.3.4: size not stated, {how} than the object: refused at the end", BEAT,
         do.run(begin_download, None), do.request(segment), do.aborted(0x1017, 0, code, Abort.WRONG_LENGTH))
 segmented("download_abort 7.2.4.3.17: the client aborts a download: the transfer is over, nothing is written", BEAT,
-    not_written(begin_download, do.abort(0x1017), do.silence(SDO),
-        do.ask("0B 34 12", lambda data: data[0] == 0x80)))
+    not_written(begin_download, do.abort(0x1017), do.silence(SDO), do.ask("0B 34 12", lambda data: data[0] == 0x80)))
 segmented("download_wrong_segment 7.2.4.3.17: an upload segment during a download: 05040001h", BEAT,
     begin_download, do.request("60"), do.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND))
 segmented("download_value 7.2.4.3.4: a refused value is refused with the last segment", ((0x1019, 0),),

@@ -5,7 +5,7 @@ import struct
 
 from canopen_conformance import steps as do
 from canopen_conformance.case import CheckError, NotApplicableError, Service, check
-from canopen_conformance.cases.sdo import BEAT, NAMES, UPLOADED, not_written
+from canopen_conformance.cases.sdo import BEAT, NAMES, UPLOADED, not_written, unknown
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import SDO, STOP, Abort
 
@@ -19,13 +19,13 @@ download = Service("sdo_block_download")
 def initiate(dut: Dut, index: int, block_size: int, switch: int = 0, crc: bool = True) -> bytes:
     """Initiate a block upload; not applicable where the device knows no block transfer."""
     answer = dut.ask(struct.pack("<BHBBB", 0xA4 if crc else 0xA0, index, 0, block_size, switch))
-    if answer[0] == 0x80 and answer[4:] == struct.pack("<I", Abort.UNKNOWN_COMMAND):
+    if unknown(answer):
         raise NotApplicableError("no SDO block transfer")
     return answer
 
 
-def begin_block_upload(dut: Dut, block_size: int, crc: bool = True, start: bool = True) -> bytes:
-    """Initiate the block upload of a string of several segments, and start it; return what a segmented upload gives."""
+def begin_block_upload(dut: Dut, block_size: int, crc: bool = True, start: bool = True) -> None:
+    """Initiate the block upload of a string of several segments, which it first reads segmented, and start it."""
     for index in NAMES:
         data = dut.try_read(index)
         if isinstance(data, bytes) and len(data) > 7:
@@ -34,10 +34,10 @@ def begin_block_upload(dut: Dut, block_size: int, crc: bool = True, start: bool 
                 raise CheckError(f"C0h (with bits 1, 2) and {index:04X}h", answer.hex(" "))
             if answer[0] & 2 and answer[4:] != struct.pack("<I", len(data)):
                 raise CheckError(f"size {len(data)}", answer[4:].hex(" "))
-            dut.upload_index = index
+            dut.upload_index, dut.data = index, data
             if start:
                 dut.request("A3")
-            return data
+            return
     raise NotApplicableError("no string of several segments")
 
 
@@ -45,87 +45,63 @@ def begun_upload(dut: Dut, started: bool = True) -> None:
     """Initiate a block upload of one segment a block, and (``started``) receive the first."""
     begin_block_upload(dut, 1, start=started)
     if started:
-        block(dut, 1, False)
+        block(dut, 0, 1)
 
 
-def block(dut: Dut, count: int, last: bool) -> bytes:
-    """``count`` segments numbered from 1, the last of them marked as the last of all or not."""
-    data = b""
-    for number in range(1, count + 1):
-        head = number | (0x80 if last and number == count else 0)
-        data += dut.answer(lambda d, h=head: d[0] == h)[1:]  # type: ignore[misc]
-    return data
+def segments(dut: Dut, first: int = 0) -> list[bytes]:
+    """The segments of a block that holds the data from segment ``first`` on, the last of all marked."""
+    parts = [dut.data[at : at + 7] for at in range(0, len(dut.data), 7)][first:]
+    return [bytes((number | (0x80 if number == len(parts) else 0),)) + part for number, part in enumerate(parts, 1)]
 
 
-def end_block_upload(dut: Dut, data: bytes, crc: bool = True) -> None:
+def block(dut: Dut, first: int = 0, most: int = 127) -> int:
+    """Receive the data from segment ``first`` on in at most so many segments; return how many."""
+    wanted = segments(dut, first)[:most]
+    for segment in wanted:
+        data = dut.answer()
+        check(data.startswith(segment), segment.hex(" "), data.hex(" "))
+    return len(wanted)
+
+
+def end_block_upload(dut: Dut, crc: bool = True) -> None:
     """The end of the server, after which the client says that it is content."""
-    unused = -len(data) % 7
+    unused = -len(dut.data) % 7
     answer = dut.answer(lambda d: d[0] & 0xE3 == 0xC1)
-    wanted = binascii.crc_hqx(data, 0) if crc else 0
+    wanted = binascii.crc_hqx(dut.data, 0) if crc else 0
     if answer[0] >> 2 & 7 != unused or struct.unpack("<H", answer[1:3])[0] != wanted:
         raise CheckError(f"{unused} bytes unused, CRC {wanted:04X}h", answer.hex(" "))
     dut.request("A1")
     dut.silence(SDO)
 
 
-def segments(data: bytes) -> int:
-    """How many segments carry ``data``."""
-    return -(-len(data) // 7)
+def last_block(dut: Dut, first: int = 0, crc: bool = True) -> None:
+    """The data from segment ``first`` on in one block, its acknowledgement, and the end."""
+    count = block(dut, first)
+    dut.request(f"A2 {count:02X} 7F")
+    end_block_upload(dut, crc)
 
 
-def last_block(dut: Dut, data: bytes, begin: int = 0, crc: bool = True) -> None:
-    """``data`` from byte ``begin`` on in one block, its acknowledgement, and the end."""
-    rest = data[begin:]
-    received = block(dut, segments(rest), True)
-    check(received[: len(rest)] == rest, rest.hex(" "), received.hex(" "))
-    dut.request(f"A2 {segments(rest):02X} 7F")
-    end_block_upload(dut, data, crc)
-
-
-def one_block(dut: Dut, crc: bool = True) -> None:
-    """A whole upload in one block."""
-    data = begin_block_upload(dut, 127, crc)
-    last_block(dut, data, crc=crc)
-
-
-upload("upload 7.2.4.3.13: one block: size, segments, end with CRC", (), one_block)
+upload("upload 7.2.4.3.13: one block: size, segments, end with CRC", (),
+    do.run(begin_block_upload, 127), last_block)
 
 
 @upload("7.2.4.3.14: blocks of one segment")
 def blocks_of_one(dut: Dut) -> None:
-    data = begin_block_upload(dut, 1)
-    count = segments(data)
-    for number in range(1, count + 1):
-        part = block(dut, 1, number == count)
-        wanted = data[7 * number - 7 : 7 * number]
-        check(part[: len(wanted)] == wanted, f"segment {number}", part.hex(" "))
+    begin_block_upload(dut, 1)
+    for first in range(len(segments(dut))):
+        block(dut, first, 1)
         dut.request("A2 01 01")
-    end_block_upload(dut, data)
+    end_block_upload(dut)
 
 
-@upload("7.2.4.3.14: the client changes the block size from block to block")
-def changed_block_size(dut: Dut) -> None:
-    data = begin_block_upload(dut, 1)
-    check(block(dut, 1, False) == data[:7], data[:7].hex(" "), "another segment")
-    dut.request("A2 01 7F")
-    last_block(dut, data, 7)
-
-
-@upload("7.2.4.3.14: ackseq {0} of 2: the rest comes again from there", each=[(0,), (1,)])
-def resend(dut: Dut, received: int) -> None:
-    data = begin_block_upload(dut, 2)
-    block(dut, 2, segments(data) == 2)
-    dut.request(f"A2 {received:02X} 7F")
-    last_block(dut, data, 7 * received)
-
-
-@upload("7.2.4.3.14: the last block is lost: ackseq 0, and it comes again")
-def resend_last(dut: Dut) -> None:
-    data = begin_block_upload(dut, 127)
-    for _ in range(2):
-        block(dut, segments(data), True)
-        dut.request("A2 00 7F")
-    last_block(dut, data)
+upload("changed_block_size 7.2.4.3.14: the client changes the block size from block to block", (),
+    do.run(begin_block_upload, 1), do.run(block, 0, 1), do.request("A2 01 7F"), do.run(last_block, 1))
+for received in (0, 1):
+    upload(f"resend 7.2.4.3.14: ackseq {received} of 2: the rest comes again from there", (),
+        do.run(begin_block_upload, 2), do.run(block, 0, 2), do.request(f"A2 {received:02X} 7F"),
+        do.run(last_block, received))
+upload("resend_last 7.2.4.3.14: the last block is lost: ackseq 0, and it comes again", (),
+    do.run(begin_block_upload, 127), do.repeat(2, block, do.request("A2 00 7F")), last_block)
 
 
 def refused_initiate(dut: Dut, index: int, block_size: int, code: int) -> None:
@@ -140,7 +116,8 @@ for size in (0, 128, 255):
 for size in (0, 128):
     upload(f"block_size_refused_later 7.2.4.3.14: block size {size} in an answer: 05040002h", (),
         begun_upload, do.request(f"A2 01 {size:02X}"), do.aborted(UPLOADED, 0, Abort.BLOCK_SIZE))
-upload("without_crc 7.2.4.3.16: a client without CRC finds 0 in its place", (), do.run(one_block, False))
+upload("without_crc 7.2.4.3.16: a client without CRC finds 0 in its place", (),
+    do.run(begin_block_upload, 127, False), do.run(last_block, 0, False))
 
 
 @upload("7.2.4.3.13: refused at the initiate: {2}", each=[
@@ -161,8 +138,7 @@ upload("stopped 7.3.2.3: stop ends a block upload without a word", (),
     do.run(begun_upload, False), do.nmt(STOP), do.request("A3"), do.silence(SDO))
 for command in ("A1", "A2", "A3", "C1"):
     upload("no_transfer 7.2.4.3.17: a block command without a transfer: 05040001h", (),
-        do.run(initiate, 0x1000, 127), do.abort(0x1000),
-        do.ask(f"{command} 00 10 00", lambda d: d[0] == 0x80 and d[4:] == struct.pack("<I", Abort.UNKNOWN_COMMAND)))
+        do.run(initiate, 0x1000, 127), do.abort(0x1000), do.ask(f"{command} 00 10 00", unknown))
 
 
 VALUE = b"\x34\x12"
@@ -172,7 +148,7 @@ def begin_block_download(dut: Dut, index: int, size: int | None, crc: bool = Tru
     """Initiate a block download; the block size that the server asks for."""
     command = 0xC0 | (4 if crc else 0) | (0 if size is None else 2)
     answer = dut.ask(struct.pack("<BHBI", command, index, 0, size or 0))
-    if answer[0] == 0x80 and answer[4:] == struct.pack("<I", Abort.UNKNOWN_COMMAND):
+    if unknown(answer):
         raise NotApplicableError("no SDO block transfer")
     if answer[0] & 0xFB != 0xA0 or answer[1:4] != struct.pack("<HB", index, 0) or not 1 <= answer[4] <= 127:
         raise CheckError(f"A0h or A4h, {index:04X}h, a block size of 1 to 127", answer.hex(" "))

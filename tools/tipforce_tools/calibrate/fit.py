@@ -121,7 +121,7 @@ def add_verify_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_transfer(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=common.InputFile("calibration "), metavar="CAL.toml")
     parser.add_argument("--node", "--node-id", type=common.node_id, required=True, metavar="ID", help="1 to 127")
-    bus_flags.add_sdo_arguments(parser)
+    bus_flags.add_bus_arguments(parser, sdo=True)
 
 
 def run_apply(args: argparse.Namespace) -> int:

@@ -37,8 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     common.add_number(group, "--max-drift", 2.0, "UE", "largest drift, microstrain (default %(default)s)", limit)
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="gauge layout, for file and prior")
     fit.add_model_arguments(parser, None, "0.5; --auto: 0")
-    common.add_confirm_argument(parser)
-    bus_flags.add_sdo_arguments(parser)
+    bus_flags.add_bus_arguments(parser, sdo=True, confirm=True)
 
 
 def run(args: argparse.Namespace) -> int:

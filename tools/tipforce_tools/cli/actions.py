@@ -111,7 +111,7 @@ def shared_help() -> str:
     from tipforce_tools.cli import bus_flags
 
     parser = argparse.ArgumentParser("tipforce COMMAND", add_help=False)
-    bus_flags.add_sdo_arguments(parser)
+    bus_flags.add_bus_arguments(parser, sdo=True)
     common.add_confirm_argument(parser)
     formatter = _Formatter(parser.prog)
     for group in parser._action_groups:

@@ -72,25 +72,20 @@ def add_bus_name_arguments(parser: argparse.ArgumentParser) -> argparse._Argumen
     return group
 
 
-def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add python-can's bus flags, -i -c -b --fd --data-bitrate --timing --bus-kwargs, and the output flags."""
+def add_bus_arguments(parser: argparse.ArgumentParser, *, sdo: bool = False, confirm: bool = False) -> None:
+    """Add the bus and output flags of a command; ``sdo``: also timeout and retries; ``confirm``: also --yes."""
+    if confirm:
+        common.add_confirm_argument(parser)
     add_bus_flags(parser)
-    common.add_output_arguments(parser)
-
-
-def add_sdo_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the bus flags, the timeout and retries of SDO transfers, and the output flags."""
-    add_bus_flags(parser)
-    group = parser.add_argument_group("SDO")
-    common.add_number(group, "--timeout", 0.5, "S", "timeout of a response (default %(default)s s)", common.timeout)
-    group.add_argument(
-        "--retries", type=common.whole_number, default=2, metavar="N", help="after a timeout (%(default)s)"
-    )
+    if sdo:
+        group, after = parser.add_argument_group("SDO"), "after a timeout (%(default)s)"
+        common.add_number(group, "--timeout", 0.5, "S", "timeout of a response (default %(default)s s)", common.timeout)
+        group.add_argument("--retries", type=common.whole_number, default=2, metavar="N", help=after)
     common.add_output_arguments(parser)
 
 
 def add_bus_flags(parser: argparse.ArgumentParser) -> None:
-    """Add python-can's bus flags alone."""
+    """Add python-can's bus flags alone, -i -c -b --fd --data-bitrate --timing --bus-kwargs."""
     group, unset = add_bus_name_arguments(parser), argparse.SUPPRESS
     group.add_argument("--fd", default=unset, action="store_true", help="CAN FD")
     group.add_argument("--data-bitrate", type=int, default=unset, metavar="BIT/S", help="of the CAN FD data phase")

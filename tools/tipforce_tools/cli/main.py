@@ -6,6 +6,7 @@ import gc
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from canopen_device.visible_text import visible
@@ -173,6 +174,8 @@ def _run(name: str, words: list[str]) -> int:
         near = difflib.get_close_matches(name, [*COMMANDS, *TOP_FLAGS], 3, cutoff=0.7)
         hint = f"did you mean {' or '.join(near)}?" if near else f"commands: {', '.join(COMMANDS)}"
         return _failed(f"{name!r} is not a command; {hint}", 2)
+    import signal
+
     from tipforce_tools.cli import common
     from tipforce_tools.cli.actions import check_files, functions, parser_of
 
@@ -185,6 +188,8 @@ def _run(name: str, words: list[str]) -> int:
     args = parser.parse_args(words) if passes_on else parser.parse_intermixed_args(words)
     check_files(parser, args)
     common.OUTPUT.set_up(args)
+    with suppress(ValueError):  # not the main thread, which alone receives signals
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C, so that a command closes what it opened
     return functions(place)[1](args)
 
 
@@ -212,13 +217,6 @@ def _exit_code(error: TipforceError) -> int:
 def _failed(message: str, code: int) -> int:
     print(f"tipforce: {visible(message)}", file=sys.stderr)
     return code
-
-
-def terminate_as_interrupt() -> None:
-    """Let SIGTERM end a long-running command as Ctrl-C does, so that it closes what it opened."""
-    import signal
-
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 if __name__ == "__main__":

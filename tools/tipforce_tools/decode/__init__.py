@@ -47,8 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Decode; return 0, or 1 for a bad line with --strict. Raises InputError for unusable input, EnvironmentLackError
     for a missing package or a node that does not respond."""
-    from tipforce_tools.cli.main import terminate_as_interrupt
-
     collects = gc.isenabled()
     gc.disable()  # to look for garbage among what the imports make takes a tenth of the start
     try:
@@ -58,7 +56,6 @@ def run(args: argparse.Namespace) -> int:
     finally:
         if collects:
             gc.enable()
-    terminate_as_interrupt()
     try:
         return decode(args)
     finally:

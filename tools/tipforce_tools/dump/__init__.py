@@ -43,8 +43,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print frames; return 0, or 1 for a bad line with --strict. Raises InputError and EnvironmentLackError."""
-    from tipforce_tools.cli.main import terminate_as_interrupt
     from tipforce_tools.dump.session import dump
 
-    terminate_as_interrupt()
     return dump(args)

@@ -3,12 +3,10 @@
 import binascii
 import math
 import struct
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
 
 from canopen_conformance import steps as do
-from canopen_conformance.case import Service, check
+from canopen_conformance.case import Service, Step
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import RESET_NODE, RESETS, Abort
 from canopen_device.core import codes
@@ -57,18 +55,16 @@ def commit(dut: Dut, data: bytes) -> None:
     dut.put("I", 0x2104, 0, table.SIGNATURE_COMMIT)
 
 
-def refused(dut: Dut, code: int) -> None:
+def refused(code: int) -> Step:
     """A commit is refused, and the active calibration is as before."""
     active = ((0x2140, 0), (0x2103, 3), (0x2103, 4))
-    before = [dut.read(*entry) for entry in active]
-    dut.refuses("I", 0x2104, 0, table.SIGNATURE_COMMIT, code)
-    check([dut.read(*entry) for entry in active] == before, "the active calibration unchanged", "another one")
+    return do.unchanged(active, do.refuses("I", 0x2104, 0, table.SIGNATURE_COMMIT, code))
 
 
 def not_committed(dut: Dut, code: int, /, **changed: float) -> None:
     """A record with these changes may be staged, and its commit is refused."""
     stage(dut, record(dut, **changed))
-    refused(dut, code)
+    refused(code)(dut)
 
 
 crc = do.late(lambda dut, **changed: binascii.crc32(record(dut, **changed)))
@@ -77,12 +73,12 @@ commit_staged = do.put("I", 0x2104, 0, table.SIGNATURE_COMMIT)
 
 
 calibration("staged 2141h: the staged record is written and read as one byte string", (),
-    stage_record, do.reads(0x2141, made()), do.holds("f", 0x2100, 1, NEWTONS_PER_STRAIN),
+    stage_record, do.reads(0x2141, 0, made()), do.holds("f", 0x2100, 1, NEWTONS_PER_STRAIN),
     do.holds("f", 0x2110, 4, ON_N))
 resized = do.late(lambda dut, more: record(dut)[:-1] if more < 0 else record(dut) + b"\0")
 for more, code in ((1, Abort.TOO_LONG), (-1, Abort.TOO_SHORT)):
     calibration(f"staged_size 2141h: a record of {more:+d} bytes is refused, the staged one stays", (),
-        stage_record, do.refuses_bytes(0x2141, 0, resized(more), code), do.reads(0x2141, made()))
+        stage_record, do.refuses_bytes(0x2141, 0, resized(more), code), do.reads(0x2141, 0, made()))
 
 
 calibration("staged_sense 2141h: a load sense of 2 in a record is refused", (),
@@ -91,23 +87,22 @@ calibration("staged_crc 2103h: 2103h:2 is the CRC-32 of the staged record", (),
     do.run(stage, made(x2102_1=77)), do.holds("I", 0x2103, 2, crc(x2102_1=77)), do.put("I", 0x2102, 1, 78),
     do.holds("I", 0x2103, 2, crc(x2102_1=78)))
 calibration("condition 2102h: 2102h:5 is the condition number of the staged matrix", (),
-    do.run(stage, made(x2100_1=4 * NEWTONS_PER_STRAIN)), do.near(0x2102, 5, 4.0, 1e-4),
-     do.put("f", 0x2100, 1, 0.0), do.holds("f", 0x2102, 5, math.inf),
-     do.refuses("f", 0x2102, 5, 1.0, Abort.READ_ONLY))
+    do.run(stage, made(x2100_1=4 * NEWTONS_PER_STRAIN)), do.near(0x2102, 5, 4.0, 1e-4), do.put("f", 0x2100, 1, 0.0),
+    do.holds("f", 0x2102, 5, math.inf), do.refuses("f", 0x2102, 5, 1.0, Abort.READ_ONLY))
 
 
 calibration("committed 2104h: a commit activates: CRC, generation, 2140h, status bit 1", (),
-    do.rises("I", 0x2103, 4, 1, commit_record, do.holds("I", 0x2103, 3, crc())), do.reads(0x2140, made()), settle,
+    do.rises("I", 0x2103, 4, 1, commit_record, do.holds("I", 0x2103, 3, crc())), do.reads(0x2140, 0, made()), settle,
     do.matches("B", 0x2120, 0, 2, 2, "status bit 1"))
 calibration("staged_only 2104h: a staged write changes nothing that is active", (),
-    commit_record, do.put("f", 0x2100, 1, 1.0), do.reads(0x2140, made()))
+    commit_record, do.put("f", 0x2100, 1, 1.0), do.reads(0x2140, 0, made()))
 for signature in (0, 0x74696D64, 0x65766173):
     calibration("wrong_signature 2104h: a wrong signature: 08000020h", (),
         stage_record, do.refuses("I", 0x2104, 0, signature, Abort.NOT_STORED))
 calibration("wrong_crc 2104h: CRC mismatch: 06040043h", (),
-    stage_record, do.put("I", 0x2103, 1, 1), do.run(refused, Abort.INCOMPATIBLE))
+    stage_record, do.put("I", 0x2103, 1, 1), refused(Abort.INCOMPATIBLE))
 calibration("late_write 2104h: a write after the CRC was given: 06040043h", (),
-    stage_record, do.put("f", 0x2101, 1, 1e-6), do.run(refused, Abort.INCOMPATIBLE))
+    stage_record, do.put("f", 0x2101, 1, 1e-6), refused(Abort.INCOMPATIBLE))
 for field, what, value in (
     ("x2100_2", "NaN in the matrix", math.nan), ("x2101_1", "infinity in an offset", math.inf),
     ("x2106_1", "NaN in the covariance", math.nan), ("x2110_1", "NaN as tip radius", math.nan),
@@ -124,35 +119,27 @@ for what, value in (("a singular", 0.0), ("an ill-conditioned", 0.1)):
     calibration(f"ill_conditioned 2104h: {what} matrix: 06090031h", (),
         do.run(not_committed, Abort.TOO_HIGH, x2100_1=value))
 calibration("condition_limit 2105h: a lower condition limit refuses what was allowed", (),
-    do.run(stage, made(x2100_1=4 * NEWTONS_PER_STRAIN)), do.put("f", 0x2105, 1, 3.0), do.run(refused, Abort.TOO_HIGH),
+    do.run(stage, made(x2100_1=4 * NEWTONS_PER_STRAIN)), do.put("f", 0x2105, 1, 3.0), refused(Abort.TOO_HIGH),
     do.put("f", 0x2105, 1, 5.0), commit_staged)
 for value, code in ((0.5, Abort.TOO_LOW), (math.nan, Abort.INVALID_VALUE)):
     calibration(f"condition_limit_range 2105h: a condition limit of {value} is refused", (),
         do.refuses("f", 0x2105, 1, value, code))
 
 
-@contextmanager
-def with_lock(dut: Dut) -> Iterator[None]:
-    """Locked within, unlocked with the signature after."""
-    try:
-        dut.put("B", 0x2105, 2, 1)
-        yield
-    finally:
-        dut.put("I", 0x2105, 3, table.SIGNATURE_OPEN)
-
-
+unlocked = do.undone_by(do.put("I", 0x2105, 3, table.SIGNATURE_OPEN))
+lock = do.put("B", 0x2105, 2, 1)
 calibration("locked 2105h: locked: staged writes and commit are refused with 08000022h", (),
-    stage_record, do.within(with_lock,
+    stage_record, do.within(unlocked, lock,
         do.refuses("f", 0x2100, 1, 1.0, Abort.DEVICE_STATE), do.refuses("B", 0x2110, 6, 1, Abort.DEVICE_STATE),
         do.refuses_bytes(0x2141, 0, made(), Abort.DEVICE_STATE), do.refuses("f", 0x2105, 1, 10.0, Abort.DEVICE_STATE),
-        do.refuses("B", 0x2105, 2, 0, Abort.DEVICE_STATE), do.run(refused, Abort.DEVICE_STATE),
+        do.refuses("B", 0x2105, 2, 0, Abort.DEVICE_STATE), refused(Abort.DEVICE_STATE),
         do.holds("B", 0x2105, 2, 1)),
     commit_staged)
 for command, name in RESETS:
     calibration(f"lock_kept 2105h: the lock outlives {name}", (),
-        do.within(with_lock, do.reset(command), do.refuses("f", 0x2100, 1, 1.0, Abort.DEVICE_STATE)))
+        do.within(unlocked, lock, do.reset(command), do.refuses("f", 0x2100, 1, 1.0, Abort.DEVICE_STATE)))
 calibration("wrong_unlock 2105h: unlocking with a wrong signature: 08000020h, still locked", (),
-    do.within(with_lock, do.refuses("I", 0x2105, 3, 0x6E65706E, Abort.NOT_STORED), do.holds("B", 0x2105, 2, 1)))
+    do.within(unlocked, lock, do.refuses("I", 0x2105, 3, 0x6E65706E, Abort.NOT_STORED), do.holds("B", 0x2105, 2, 1)))
 calibration("active_read_only 2140h: the active record cannot be written", (),
     do.refuses_bytes(0x2140, 0, made(), Abort.READ_ONLY))
 
@@ -176,24 +163,12 @@ calibration("zero_in_contact CiA 404 6125h: autozero is refused while contact is
 calibration("tare CiA 404 6139h: autotare takes the force as zero; command 2 clears it", (),
     do.run(loaded, 5.0), do.put("I", 0x6139, F1, table.SIGNATURE_TARA), settle, do.near(0x6130, F1, 0, 0.5),
     do.near(0x2111, 1, 5, 0.5), do.put("H", 0x2130, 0, table.COMMAND_CLEAR_TARE), do.holds("f", 0x2111, 1, 0.0))
-
-
-@calibration("2100h: 1010h:4 stores the active record, 1011h:4 forgets it", ((0x1010, 4),), persistent=True)
-def stored(dut: Dut) -> None:
-    data = record(dut, x2102_1=99)
-    commit(dut, data)
-    generation = dut.integer("I", 0x2103, 4)
-    dut.put("I", 0x1010, 4, codes.SIGNATURE_SAVE)
-    dut.refuses("f", 0x2100, 1, 7.0, 0)
-    dut.reset()
-    records = dut.read(0x2140), dut.read(0x2141), dut.integer("I", 0x2103, 4)
-    dut.put("I", 0x1011, 4, codes.SIGNATURE_LOAD)
-    dut.reset()
-    dut.holds("I", 0x2103, 3, 0)
-    check(records == (data, data, generation), "the stored record, active and staged", "another one")
-
-
-BEYOND, OVERLOAD = 1 << table.FAULT_BEYOND_CALIBRATED, 1 << table.FAULT_OVERLOAD
+forgotten = do.undone_by(do.put("I", 0x1011, 4, codes.SIGNATURE_LOAD), do.reset(), do.holds("I", 0x2103, 3, 0))
+calibration("stored 2100h: 1010h:4 stores the active record, 1011h:4 forgets it", ((0x1010, 4),),
+    do.run(commit, made(x2102_1=99)), do.within(forgotten,
+        do.unchanged(((0x2103, 4),),
+            do.put("I", 0x1010, 4, codes.SIGNATURE_SAVE), do.refuses("f", 0x2100, 1, 7.0, 0), do.reset()),
+        do.reads(0x2140, 0, made(x2102_1=99)), do.reads(0x2141, 0, made(x2102_1=99))), persistent=True)
 
 
 @validity("2104h: a matrix of {0:g} N per unit strain: 0{1:X}h", each=[
@@ -214,22 +189,14 @@ for index, what, field, value in (
 ):
     validity(f"not_valid {index}h: {what} may be staged, and is not committed: 06090030h", (),
         do.run(not_committed, Abort.INVALID_VALUE, **{field: value}))
-
-
-@validity("2112h: {0}: bit {1} of 2124h", each=[
-    ("beyond the calibrated force the value stays", 13, "x2112_1"),
-    ("beyond the overload force it is unknown", 15, "x2112_2"),
-])
-def forces(dut: Dut, _what: str, bit: int, field: str) -> None:
-    loaded(dut, 5.0)
-    commit(dut, record(dut, **{field: 4.0}))
-    settle(dut)
-    faults, p = dut.integer("H", 0x2124), channel(dut, "magnitude")
-    check(faults & (BEYOND | OVERLOAD) == 1 << bit, f"bit {bit} alone of bits 13 and 15", f"{faults:04X}h")
-    do.known(0x6130, p, bit == 13)(dut)
-    dut.holds("B", 0x6150, p, 0 if bit == 13 else 3)
-
-
+for what, bit, field, status in (
+    ("beyond the calibrated force the value stays", table.FAULT_BEYOND_CALIBRATED, "x2112_1", 0),
+    ("beyond the overload force it is unknown", table.FAULT_OVERLOAD, "x2112_2", 3),
+):
+    validity(f"forces 2112h: {what}: bit {bit} of 2124h", (),
+        do.run(loaded, 5.0), do.run(commit, made(**{field: 4.0})), settle,
+        do.matches("H", 0x2124, 0, 0xA000, 1 << bit, f"bit {bit} alone of bits 13 and 15"),
+        do.known(0x6130, P, not status), do.holds("B", 0x6150, P, status))
 validity("converter_limit 2113h: a gauge at its converter limit is saturated", (),
     do.run(loaded, 5.0), do.run(commit, made(x2113_1=4.0 / NEWTONS_PER_STRAIN)), settle, do.holds("B", 0x6150, 1, 3),
     do.matches("H", 0x2124, 0, 1, 1, "bit 0 of 2124h"))

@@ -1,6 +1,5 @@
 """PDOs of a fingertip: parameters and types beyond the standard, interrupts (CiA 404), sample counter and status."""
 
-import struct
 from itertools import product
 
 from canopen_conformance import steps as do
@@ -44,10 +43,10 @@ for communication, mapping, name in BOTH:
         do.run(pdo.disable_pdo, communication), do.put("B", mapping, 0, 0), do.put("I", mapping, 1, 0),
         do.refuses("B", mapping, 0, 1, Abort.NO_OBJECT, Abort.NOT_MAPPABLE))
 rpdo("forgotten 7.2.2.2: what waited for a SYNC is forgotten when OPERATIONAL is left", pdo.HIGH_RESOLUTION,
-    do.run(pdo.start_rpdo1, pdo.TIME_U32, transmission=1), pdo.set_time, do.send(PDO, struct.pack("<I", 0x60000000)),
-    do.nmt(ENTER_PRE_OPERATIONAL), do.nmt(START), do.send(0x080), do.run(pdo.high_resolution, 0, 0x60000000))
+    do.run(pdo.start_rpdo1, transmission=1), pdo.set_time, pdo.sends_6,
+    do.nmt(ENTER_PRE_OPERATIONAL), do.nmt(START), do.send(0x080), pdo.not_6)
 rpdo("length_cured 7.2.7.1: an RPDO of the right length cures 8210h", (*pdo.HIGH_RESOLUTION, (0x1014, 0)),
-    do.run(pdo.start_rpdo1, pdo.TIME_U32),
+    pdo.start_rpdo1,
     do.repeat(2, do.send(PDO), do.expect(EMCY, "10 82 *"), do.send(PDO, bytes(4)), do.expect(EMCY, "00 00 00 *")))
 tpdo("cyclic_240 7.2.2.2: type 240: silent for the 200 SYNCs after a TPDO", pdo.TPDO1,
     do.run(pdo.start_tpdo1, 240), do.repeat(239, do.send(0x080)), do.silence(PDO, ms=50), do.send(0x080),
@@ -64,29 +63,14 @@ for transmission in (254, 255):
     tpdo(f"first_values 7.2.2.2: type {transmission}: sent once when OPERATIONAL is entered", pdo.TPDO1,
         do.run(pdo.start_tpdo1, transmission), do.expect(PDO), do.silence(PDO))
 tpdo("remote_frame 7.2.2.5.2: a remote frame is not answered by a TPDO without RTR", pdo.TPDO1,
-    do.run(pdo.start_tpdo1, 1), do.send(PDO | REMOTE_FLAG), do.silence(PDO))
-
-
-@tpdo("7.5.2.38: a new mapping: contents in the order of the entries, little-endian", pdo.TPDO1)
-def remapped(dut: Dut) -> None:
-    pdo.start_tpdo1(dut, 1, 0x10010008, 0x21230010, 0x10020020)
-    dut.send(0x080)
-    data = dut.expect(PDO, lambda d: len(d) == 7).data
-    wanted = dut.read(0x1001) + dut.read(0x2123) + dut.read(0x1002)
-    check(data == wanted, wanted.hex(" "), data.hex(" "))
-
-
-@tpdo("7.5.2.38: a TPDO that maps nothing is not sent", pdo.TPDO1)
-def nothing_mapped(dut: Dut) -> None:
-    pdo.enable_tpdo1(dut, 1)
-    cob_id = pdo.disable_pdo(dut, 0x1800)
-    pdo.remap(dut, 0x1A00)
-    dut.put("I", 0x1800, 1, cob_id)
-    dut.nmt(START)
-    dut.send(0x080)
-    dut.silence(PDO)
-
-
+    pdo.start_tpdo1, do.send(PDO | REMOTE_FLAG), do.silence(PDO))
+contents = do.late(lambda dut, *indices: " ".join(dut.read(index).hex(" ") for index in indices))
+tpdo("remapped 7.5.2.38: a new mapping: contents in the order of the entries, little-endian", pdo.TPDO1,
+    do.run(pdo.start_tpdo1, 1, 0x10010008, 0x21230010, 0x10020020), do.send(0x080),
+    do.expect(PDO, contents(0x1001, 0x2123, 0x1002)))
+tpdo("nothing_mapped 7.5.2.38: a TPDO that maps nothing is not sent", pdo.TPDO1,
+    pdo.enable_tpdo1, do.run(pdo.disable_pdo, 0x1800), do.run(pdo.remap, 0x1A00),
+    do.run(pdo.enable_pdo, 0x1800), do.nmt(START), do.send(0x080), do.silence(PDO))
 GAUGE_1 = 0x71300110
 STATUS, COUNTER = 0x21200008, 0x21210008
 NEEDS = (*pdo.TPDO1, (0x6133, 1))
@@ -94,12 +78,11 @@ NUMBERED = (*pdo.TPDO1, (0x1019, 0))
 SAMPLE_MS = 130  # 100 ms after the last SYNC samples are taken without one
 
 
-def begin(dut: Dut, transmission: int = 255, inhibit_100us: int | None = None) -> int:
-    """TPDO1 carries gauge 1, OPERATIONAL, what it says at first has been heard; its CAN-ID."""
-    can_id = pdo.start_tpdo1(dut, transmission, GAUGE_1, inhibit_100us=inhibit_100us)
+def begin(dut: Dut, transmission: int = 255, inhibit_100us: int | None = None) -> None:
+    """TPDO1 carries gauge 1, OPERATIONAL, what it says at first has been heard."""
+    pdo.start_tpdo1(dut, transmission, GAUGE_1, inhibit_100us=inhibit_100us)
     dut.sleep(SAMPLE_MS)
-    dut.forget(can_id)
-    return can_id
+    dut.forget(PDO)
 
 
 def shift(dut: Dut, microstrain: float) -> None:
@@ -128,8 +111,7 @@ interrupts_404("hysteresis 6136h: the hysteresis holds a value outside until it 
     do.expect(PDO, within_ms=SAMPLE_MS))
 interrupts_404("acyclic CiA 301 7.2.2.2: type 0: an interrupt is sent with the next SYNC, once", NEEDS,
     do.put("f", 0x6133, 1, 100.0), do.run(begin, 0), do.send(0x080), do.sleep(tolerance_ms()), do.forget(PDO),
-    do.run(shift, 150.0), do.sleep(5), do.send(0x080), do.expect(PDO), do.sleep(5), do.send(0x080),
-    do.silence(PDO))
+    do.run(shift, 150.0), do.sleep(5), do.send(0x080), do.expect(PDO), do.sleep(5), do.send(0x080), do.silence(PDO))
 
 
 @interrupts_404(
@@ -173,7 +155,7 @@ def one_sample(dut: Dut) -> None:
     second = dut.integer("I", 0x1801, 1)
     if second & 0x80000000:
         dut.put("I", 0x1801, 1, second & ~0x80000000)
-    pdo.start_tpdo1(dut, 1)
+    pdo.start_tpdo1(dut)
     for _ in range(3):
         dut.sleep(1)
         dut.send(0x080)

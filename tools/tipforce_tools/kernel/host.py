@@ -14,7 +14,6 @@ from pathlib import Path
 
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.network.interfaces import interfaces as can_interfaces
-from tipforce_tools.cli.main import terminate_as_interrupt
 
 INTERRUPTED = 130
 PREFIX = "tipforce-vcan-"
@@ -101,7 +100,6 @@ def run_here(command: Sequence[str], timeout_s: float | None = None) -> int:
     after SIGINT or SIGTERM; 1, with a message, after the timeout; 126 or 127 when it cannot be started."""
     # On a terminal the command must stay in the foreground process group, which receives Ctrl-C.
     own_group = sys.stdin is None or not sys.stdin.isatty()
-    terminate_as_interrupt()
     try:
         process = subprocess.Popen(list(command), process_group=0 if own_group else None)
     except OSError as error:

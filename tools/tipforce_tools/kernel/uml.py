@@ -24,7 +24,6 @@ from typing import IO
 
 from canopen_device.visible_text import visible
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce_tools.cli.main import terminate_as_interrupt
 from tipforce_tools.kernel import host
 from tipforce_tools.kernel.host import ELSEWHERE, PREFIX, find_program, require_parts, short_temporary_folder
 
@@ -65,7 +64,6 @@ def run_in_uml(
     """Boot, run the command, halt; return as `run_here` does. Raises EnvironmentLackError if it does not boot."""
     require_parts()
     terminal = _on_terminal()
-    terminate_as_interrupt()
     with tempfile.TemporaryDirectory(prefix=PREFIX, dir=short_temporary_folder()) as name, _terminal_kept(terminal):
         folder, access = Path(name), "write" if writable else "layer"
         settings = [os.getcwd(), access, "terminal" if terminal else "pipes", _terminal_size(), os.uname().nodename]

@@ -49,8 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--all", action="store_true", help="show, save: include settings at their default")
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="of the node (default 3)")
     parser.add_argument("--eds", metavar="FILE", help="EDS, DCF or XDD of a node of any manufacturer (default: 1021h)")
-    common.add_confirm_argument(parser)
-    bus_flags.add_sdo_arguments(parser)
+    bus_flags.add_bus_arguments(parser, sdo=True, confirm=True)
 
 
 def run(args: argparse.Namespace) -> int:

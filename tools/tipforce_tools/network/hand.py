@@ -49,8 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_choice(parser, "action", ACTIONS)
     parser.add_argument("file", type=common.InputFile(), metavar="FILE", help="hand.toml")
     parser.add_argument("--seconds", type=common.seconds, metavar="S", help="run: end after this time")
-    common.add_confirm_argument(parser)
-    bus_flags.add_bus_arguments(parser)
+    bus_flags.add_bus_arguments(parser, confirm=True)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -124,9 +123,7 @@ def _note_load(file: HandFile, bit_rate: int | None, budgeted: bool) -> None:
 
 def _up(args: argparse.Namespace, file: HandFile) -> int:
     from tipforce.host.hand.hand import Hand
-    from tipforce_tools.cli.main import terminate_as_interrupt
 
-    terminate_as_interrupt()
     with Hand.from_file(file, **bus_flags.find_bus(args, file.bus)) as hand:
         as_rows = args.action == "run"
         reports: list[FingerReport] = []

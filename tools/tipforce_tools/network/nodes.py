@@ -50,7 +50,7 @@ def add_scan_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--nodes", type=common.node_ids, default=every, metavar="IDS", help="1,2,5-9 (default: all)")
     wait = common.number_within(0.0, threading.TIMEOUT_MAX, "is 0 s or more")
     common.add_number(parser, "--wait", 1.2, "S", "wait for responses and heartbeats (default %(default)s s)", wait)
-    bus_flags.add_sdo_arguments(parser)
+    bus_flags.add_bus_arguments(parser, sdo=True)
 
 
 def run_scan(args: argparse.Namespace) -> int:
@@ -92,7 +92,7 @@ def add_read_arguments(parser: argparse.ArgumentParser) -> None:
     _add_ids(parser)
     parser.add_argument("-n", "--count", type=common.count, default=1, metavar="N", help="samples of each (default 1)")
     common.add_number(parser, "--wait", 5.0, "S", "for each sample (default %(default)g s)", common.timeout)
-    bus_flags.add_sdo_arguments(parser)
+    bus_flags.add_bus_arguments(parser, sdo=True)
 
 
 def run_read(args: argparse.Namespace) -> int:
@@ -125,7 +125,7 @@ def add_tare_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_mutually_exclusive_group()
     group.add_argument("--clear", action="store_true", help="clear the tare")
     group.add_argument("--show", action="store_true", help="change nothing")
-    bus_flags.add_sdo_arguments(parser)
+    bus_flags.add_bus_arguments(parser, sdo=True)
 
 
 def run_tare(args: argparse.Namespace) -> int:
@@ -211,8 +211,7 @@ def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--revision", type=common.unsigned32, metavar="N", help="default: this release's")
     timeout_help = "timeout of each response (default %(default)s s)"
     common.add_number(parser, "--lss-timeout", 0.1, "S", timeout_help, common.timeout)
-    common.add_confirm_argument(parser)
-    bus_flags.add_bus_arguments(parser)
+    bus_flags.add_bus_arguments(parser, confirm=True)
 
 
 def run_lss(args: argparse.Namespace) -> int:
@@ -279,7 +278,7 @@ def _print_lss(address: Identity, node_id: int | None, stored: bool) -> None:
 
 def add_firmware_show_arguments(parser: argparse.ArgumentParser) -> None:
     _add_ids(parser)
-    bus_flags.add_sdo_arguments(parser)
+    bus_flags.add_bus_arguments(parser, sdo=True)
 
 
 def run_firmware_show(args: argparse.Namespace) -> int:
@@ -307,8 +306,7 @@ def add_firmware_install_arguments(parser: argparse.ArgumentParser) -> None:
     _add_ids(parser)
     parser.add_argument("file", type=common.InputFile(), metavar="FILE", help="program image")
     parser.add_argument("--allow-downgrade", action="store_true", help="install an image older than the program")
-    common.add_confirm_argument(parser)
-    bus_flags.add_sdo_arguments(parser)
+    bus_flags.add_bus_arguments(parser, sdo=True, confirm=True)
     parser.set_defaults(timeout=3.0)  # a node checks the complete image before it responds to the last block
 
 

@@ -47,8 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("words", nargs="*", metavar="OBJECT", help="NAME or INDEX SUB [TYPE]; write: then VALUE")
     parser.add_argument("--gauges", type=int, metavar="N", help="of the node (default: 3; dump: read from the node)")
     parser.add_argument("--eds", metavar="FILE", help="EDS, DCF or XDD of any node: names and types (default: 1021h)")
-    common.add_confirm_argument(parser)
-    bus_flags.add_sdo_arguments(parser)
+    bus_flags.add_bus_arguments(parser, sdo=True, confirm=True)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -224,10 +224,7 @@ class ViewServer:
 
 def serve_page(args: argparse.Namespace, source: Source, guard: Guard) -> int:
     """Serve the page of a source until Ctrl-C or SIGTERM."""
-    from tipforce_tools.cli.main import terminate_as_interrupt
-
     server = ViewServer(source, guard, (args.host,) if args.host else ("127.0.0.1", "::1"), args.port)
-    terminate_as_interrupt()
     server.start()
     try:
         common.print_record({"url": server.url}, server.url)
