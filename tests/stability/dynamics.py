@@ -14,8 +14,8 @@ from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics import first_order_hold as stepping
 from tipforce.sensor.dynamics.model import Modes, RigidBody, compliances, half_cylinder, modes
-from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.plane_frame import Frame
+from tipforce.sensor.structure.strain import FABRICATED
 from tipforce.sources.dynamic_load import DynamicLoad
 from tipforce_lab.dynamics import integrators
 

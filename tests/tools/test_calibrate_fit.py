@@ -19,8 +19,7 @@ from tipforce.host.decoding import estimator
 from tipforce.sensor import covariance_of_estimate
 from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate
 from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix, strain_matrix
 from tipforce_tools.estimate import COLUMNS
 from tools.rig import Printed, write_readings
 

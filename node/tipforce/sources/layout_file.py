@@ -32,9 +32,8 @@ import msgspec
 from canopen_device.toml_table import convert, read_table
 from tipforce.errors import InputError
 from tipforce.output_file import LAYOUT, write_file
-from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS, layout
-from tipforce.sensor.structure.strain import Gauge, GaugePosition, check_gauges
+from tipforce.sensor.structure.strain import FABRICATED, Gauge, GaugePosition, Geometry, check_gauges
 
 
 class _Place(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):

@@ -22,10 +22,9 @@ from tipforce.sensor.calibration.result import (
 )
 from tipforce.sensor.calibration.simulation import Simulated, simulate
 from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import POINTS, layout
 from tipforce.sensor.structure.quality import condition_number
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
 
 FloatArray = npt.NDArray[np.float64]
 PLAIN = Model(loss="none")

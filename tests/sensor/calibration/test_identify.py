@@ -18,9 +18,8 @@ from tipforce.sensor.calibration.simulation import paper_grooves, simulate
 from tipforce.sensor.calibration.statistics import overload_newtons, redundancy_limit
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.contact.scalar_redundancy import chi_square_threshold
-from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import layout
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
 from tipforce_lab.report.studies.honesty import GAUGES
 
 A = strain_matrix(FABRICATED, "I")

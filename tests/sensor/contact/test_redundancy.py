@@ -20,9 +20,8 @@ from tipforce.sensor.contact.redundancy import (
     structure_matrix,
     weighted_inverse,
 )
-from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import POINTS
-from tipforce.sensor.structure.strain import GaugePosition, position_matrix, strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, GaugePosition, position_matrix, strain_matrix
 
 FloatArray = npt.NDArray[np.float64]
 SIGMA = 1e-6

@@ -10,9 +10,8 @@ import pytest
 
 from tipforce.errors import InputError
 from tipforce.sensor.contact.estimate import contacts, force_vector
-from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.off_axis import PlacedGauge, off_axis_wrenches, planar_part, wrench_strain_matrix
-from tipforce.sensor.structure.strain import GaugePosition, position_matrix
+from tipforce.sensor.structure.strain import FABRICATED, GaugePosition, position_matrix
 from tipforce_lab.design.error_budget import (
     DEGREE,
     Causes,

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import LAYOUTS
 from tipforce.sensor.structure.plane_frame import slit_closure, worst_stress
-from tipforce.sensor.structure.strain import GaugePosition, gauge_matrix
+from tipforce.sensor.structure.strain import FABRICATED, GaugePosition, gauge_matrix
 from tipforce_lab.design import search as designs
 from tipforce_lab.design.merit import AGREEMENT, FIGURES, Assessment, Limits, assess, glued, merit, pareto
 

@@ -11,13 +11,13 @@ from tipforce.errors import InputError
 from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.contact.estimate import force_vector, standard_uncertainties
 from tipforce.sensor.structure import quality, strain
-from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS
 from tipforce.sensor.structure.plane_frame import worst_stress
-from tipforce.sensor.structure.published import HALF_DIGIT, MEASURED_MATRICES, TABLE_2
+from tipforce.sensor.structure.strain import FABRICATED, Geometry
 from tipforce_lab.design import tables
 from tipforce_lab.design.merit import Limits, load_angles, merit, worst_strain
 from tipforce_lab.design.sections import simulate_groove_errors
+from tipforce_lab.design.tables import HALF_DIGIT, MEASURED_MATRICES, TABLE_2
 
 ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
 THETA, PHI = np.meshgrid(np.radians(np.arange(0.0, 180.5, 0.5)), np.radians(np.arange(-179.5, 180.5, 0.5)))

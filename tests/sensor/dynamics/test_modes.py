@@ -11,7 +11,7 @@ import pytest
 
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.model import RigidBody, half_cylinder, modes
-from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import FABRICATED
 from tipforce_lab.dynamics import integrators
 from tipforce_lab.dynamics.impact import Striker, impact
 

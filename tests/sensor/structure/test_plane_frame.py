@@ -12,7 +12,6 @@ from numpy.polynomial import Legendre, Polynomial
 
 from tipforce.errors import InputError
 from tipforce.sensor.structure import off_axis
-from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
 from tipforce.sensor.structure.layouts import POINTS
 from tipforce.sensor.structure.plane_frame import (
     ELASTIC_ROOTS,
@@ -26,7 +25,10 @@ from tipforce.sensor.structure.plane_frame import (
     slit_closure,
 )
 from tipforce.sensor.structure.strain import (
+    FABRICATED,
+    THIN_BEAM_RATIO,
     GaugePosition,
+    Geometry,
     gauge_matrix,
     nominal_position,
     position_matrix,

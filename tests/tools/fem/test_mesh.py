@@ -12,10 +12,9 @@ import pytest
 from skfem import Basis, ElementTriP2, ElementVector, MeshTri
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import LAYOUTS
 from tipforce.sensor.structure.quality import condition_number, mirror
-from tipforce.sensor.structure.strain import GaugePosition, strain_row
+from tipforce.sensor.structure.strain import FABRICATED, GaugePosition, strain_row
 from tipforce_lab.fem.mesh import GRADING, STATED, Outline, Resolution, Triangles, triangulate
 from tipforce_lab.fem.plane_stress import Model, Patch, Plane, Solution, _stiffness, solve, strain_matrix
 
