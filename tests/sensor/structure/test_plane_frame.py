@@ -6,10 +6,10 @@ from functools import partial
 from math import exp, pi, radians, sqrt
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from numpy.polynomial import Legendre, Polynomial
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.structure import off_axis
 from tipforce.sensor.structure.layouts import POINTS
@@ -35,8 +35,6 @@ from tipforce.sensor.structure.strain import (
     strain_matrix,
     strain_row,
 )
-
-FloatArray = npt.NDArray[np.float64]
 
 ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
 """All dimensions different, so that no symbol can stand in for another."""
