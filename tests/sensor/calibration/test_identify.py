@@ -12,8 +12,7 @@ from tipforce.errors import InputError
 from tipforce.sensor import FABRICATED, Fit, force_vector, layout, strain_matrix
 from tipforce.sensor.calibration.data import Model, Readings, require_degrees, require_order, require_size
 from tipforce.sensor.calibration.distributions import f_quantile, t_quantile, variance_factors
-from tipforce.sensor.calibration.fit import best_fit, fit_calibration
-from tipforce.sensor.calibration.outliers import rejections
+from tipforce.sensor.calibration.fit import best_fit, fit_calibration, rejections
 from tipforce.sensor.calibration.simulation import paper_grooves, simulate
 from tipforce.sensor.calibration.statistics import overload_newtons, redundancy_limit
 from tipforce.sensor.contact.scalar_redundancy import chi_square_threshold
