@@ -74,8 +74,8 @@ def test_the_file_has_the_digits_that_were_told_and_gives_the_covariance_again(
         (interval[1] - interval[0]) / 2, record["coverage_factor"] * np.array(record["matrix_standard_uncertainty"])
     )
     # Few degrees of freedom widen what is read as they do the interval.
-    read = calibration.parameter_covariance[:, :3, :, :3]
-    u = matrix_uncertainty(np.linalg.inv(calibration.C), calibration.C, calibration.covariance_strain2, read)
+    read, A = calibration.parameter_covariance[:, :3, :, :3], np.asarray(np.linalg.inv(calibration.C), dtype=np.float64)
+    u = matrix_uncertainty(A, calibration.C, calibration.covariance_strain2, read)
     np.testing.assert_allclose(1.959964 * u, (interval[1] - interval[0]) / 2, rtol=1e-6)
     covariance = covariance_of_estimate(
         calibration.C, calibration.covariance_strain2, calibration.parameter_covariance, [1.0, 0.0, -2.0]
