@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 
-from stability.case import Observed, refusal
-from tipforce.sensor.dynamics.first_order_hold import energy
+from stability.case import Observed, energy, refusal
 from tipforce.sensor.dynamics.model import Modes, modes
 from tipforce.sensor.structure.plane_frame import closing_load
 from tipforce.sensor.structure.strain import FABRICATED
