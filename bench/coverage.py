@@ -14,9 +14,8 @@ from tipforce.arrays import FloatArray, IntArray
 from tipforce.output_file import save_figure
 from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.contact import estimate, scalar, validity
-from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.quality import noise_gain
-from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix, strain_matrix
 from tipforce_lab.design.error_budget import pad_loads
 
 ISOTROPIC = "isotropic noise"

@@ -35,8 +35,7 @@ from canopen_device.core.node import Device
 from canopen_device.running import loop, ports
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix, strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 
 EDS = (ROOT / "eds" / "tipforce-3.eds").read_bytes()

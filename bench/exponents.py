@@ -22,7 +22,7 @@ from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.hand.rows import Collector, rows_one_by_one
 from tipforce.samples.record import RowContacts
 from tipforce.scene.delivered import structure_calibration
-from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import FABRICATED
 
 POINTS = ("L", "R", "T", "U", "K_V", "S_V", "K_H", "S_H")
 CONTACT = bytes.fromhex("84032823401f03")  # 0.9 N, 90 and 80 degrees, status; the counter follows

@@ -16,9 +16,8 @@ from tipforce.output_file import save_figure
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.contact.redundancy import UNCLEAR, Parity, detect, detectable_strain, parity, weighted_inverse
 from tipforce.sensor.contact.scalar_redundancy import leave_out
-from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.quality import noise_gain
-from tipforce.sensor.structure.strain import GaugePosition, position_matrix
+from tipforce.sensor.structure.strain import FABRICATED, GaugePosition, position_matrix
 
 SIGMA = 1e-6
 FALSE_ALARM_RATE, EXCLUSION_RATE = 1e-3, 1e-2

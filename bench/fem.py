@@ -21,10 +21,9 @@ from scipy.optimize import brentq
 
 from tipforce.arrays import FloatArray
 from tipforce.output_file import save_figure
-from tipforce.sensor.structure.layouts import CASES
-from tipforce.sensor.structure.published import GAUGE_LENGTH_M, TABLE_3_MEASUREMENT, TABLE_3_SIMULATION
+from tipforce.sensor.structure.layouts import CASES, GAUGE_LENGTH_M
 from tipforce.sensor.structure.strain import GaugePosition
-from tipforce_lab.design.tables import nearest_common
+from tipforce_lab.design.tables import TABLE_3_MEASUREMENT, TABLE_3_SIMULATION, nearest_common
 from tipforce_lab.fem import plane_stress as fem
 from tipforce_lab.fem.mesh import GRADING, STATED, Outline, Resolution, Triangles, triangulate
 from tipforce_lab.fem.plane_stress import Limit, Model, Patch, Solution, face, nearest_place, solve, strain_matrix

@@ -170,8 +170,7 @@ def run_fingers(count: int, receiver: Address, services: Address, realtime: bool
     """A process: fingers 1 to ``count``, until it is ended."""
     from canopen_device.running import loop
     from tipforce.fingertip.node import fingertip_node
-    from tipforce.sensor.structure.geometry import FABRICATED
-    from tipforce.sensor.structure.strain import strain_matrix
+    from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
     from tipforce.sources.simulated import SimulatedSource
 
     rows = strain_matrix(FABRICATED, "I").tolist()

@@ -15,7 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
 
-from tipforce_lab.report import run
+from tipforce_lab.report import study
 
 ROOT = Path(__file__).parents[1]
 TIPFORCE = (sys.executable, "-m", "tipforce_tools.cli.main")
@@ -24,7 +24,7 @@ Result = TypeVar("Result")
 
 def machine(*packages: str) -> str:
     """Processor, cores, versions, load at the start: what the figures depend on."""
-    name = run.machine()["processor"].rpartition(",")[0]
+    name = study.machine()["processor"].rpartition(",")[0]
     versions = [f"Python {platform.python_version()}", *(f"{package} {version(package)}" for package in packages)]
     load = f"load {os.getloadavg()[0]:.1f} at the start"
     return f"{name}, {os.cpu_count()} cores, {load}; {platform.system()}; {', '.join(versions)}"

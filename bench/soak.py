@@ -28,8 +28,7 @@ from tipforce.host.network.faulty_bus import Babbler, Faults, Injector
 from tipforce.samples.record import Rows
 from tipforce.samples.sync_numbers import LARGEST
 from tipforce.scene.delivered import beam_calibration, commit_calibration, download
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 
 FINGERS, SEED, NOISE_MICROSTRAIN = 5, 20261121, 0.5

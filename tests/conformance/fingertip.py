@@ -10,8 +10,7 @@ from canopen_conformance.wire import Core, CoreLink
 from canopen_device.core.node import Device
 from tipforce.dictionary.eds import eds_text
 from tipforce.fingertip.node import fingertip_node
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 from tipforce_tools import fingertip_cases
 

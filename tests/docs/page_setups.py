@@ -30,8 +30,7 @@ from tipforce.host.configuration.calibration import Calibration, write_calibrati
 from tipforce.sensor import Readings
 from tipforce.sensor.calibration.simulation import simulate
 from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix, strain_matrix
 from tipforce.sources import iio_sysfs
 from tipforce.sources.iio_gauges import Capture, open_iio
 from tipforce.sources.layout_file import read_bridge

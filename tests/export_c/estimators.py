@@ -28,8 +28,7 @@ import numpy as np
 import pytest
 
 from tipforce.sensor.contact import scalar, scalar_uncertainty
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix, strain_matrix
 from tipforce_tools.export import write_c_files
 
 HOST_FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic", "-O2"]

@@ -19,8 +19,7 @@ from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.hand.polled import HandSample, PolledHand
 from tipforce.host.network.bus import Bus
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix, strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 
 ROUNDING_STRAIN2 = 0.1e-6**2 / 12

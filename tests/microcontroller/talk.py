@@ -19,8 +19,7 @@ from micropython import recording, scripts
 from micropython.recording import SYNC, Recording, Talk
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.source import Reading, Source
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
 
 COUNTS_PER_MICROSTRAIN = 1024.0
 SLOWER = {"nau7802": 4, "ads1220": 1, "hx711": 16}  # SYNCs stay apart by more than a conversion

@@ -12,8 +12,7 @@ from bench.fuzz_frames import Frames
 from canopen_device.testing import Conversation, Frame, parse
 from micropython import engine, on_node
 from tipforce.dictionary import table
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix, strain_matrix
 
 STEPS_PER_CALL = 50  # garbage is collected between calls only
 SYNC: Frame = (0x80, b"")

@@ -9,7 +9,11 @@ from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import TypeAlias, cast
 
+import numpy as np
+
 from tipforce.errors import InputError
+from tipforce.sensor.dynamics.first_order_hold import State
+from tipforce.sensor.dynamics.model import Modes
 from tipforce_lab.report.study import Outcome
 
 _PLAIN = (
@@ -50,6 +54,11 @@ def cases_of(area: ModuleType) -> list[Case]:
             key = f"front_end.{what}" if what != name else name.replace("_", ".", 1)
             found.append(Case(key, situation, cast("Outcome", outcome), claim, check))
     return found
+
+
+def energy(modes: Modes, state: State) -> float:
+    """Return the energy of motion and of the bent beams in joules."""
+    return 0.5 * float(np.sum((state.position / modes.omega_rad_s) ** 2 + (state.velocity / modes.omega_rad_s) ** 2))
 
 
 def refusal(act: Callable[[], object]) -> str:

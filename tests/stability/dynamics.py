@@ -9,13 +9,13 @@ from fractions import Fraction
 
 import numpy as np
 
-from stability.case import Observed, refusal
+from stability.case import Observed, energy, refusal
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics import first_order_hold as stepping
 from tipforce.sensor.dynamics.model import Modes, RigidBody, compliances, half_cylinder, modes
-from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.plane_frame import Frame
+from tipforce.sensor.structure.strain import FABRICATED
 from tipforce.sources.dynamic_load import DynamicLoad
 from tipforce_lab.dynamics import integrators
 
@@ -95,12 +95,12 @@ def dynamics_thickness() -> Observed:
 def dynamics_no_damping() -> Observed:
     """damping ratio 0, 100000 free steps of random length near one period -> bounded: energy stays within 1e-10"""
     found, rng = modes(FABRICATED), np.random.default_rng(15)
-    start = stepping.settled(found, [1.0, -0.5, 0.7])
-    before, worst, state = stepping.energy(found, start), 0.0, start
+    state = stepping.State(found.load_shape @ [1.0, -0.5, 0.7], np.zeros(3))
+    before, worst = energy(found, state), 0.0
     for _ in range(10):
         step = float(rng.uniform(1e-3, 2e-2))
         state = stepping.respond(found, np.zeros((10001, 3)), step, state).end
-        worst = max(worst, abs(stepping.energy(found, state) / before - 1.0))
+        worst = max(worst, abs(energy(found, state) / before - 1.0))
     return worst <= 1e-10, f"energy off by at most {worst:.1e} after 100000 steps"
 
 
@@ -191,7 +191,7 @@ def dynamics_step_impossible() -> Observed:
     """steps of -1 ns, NaN and infinity -> refused: InputError says what is allowed; a step of 0 changes nothing"""
     found, F = modes(FABRICATED), np.ones((2, 3))
     said = [refusal(lambda step=step: stepping.respond(found, F, step)) for step in (-1e-9, math.nan, math.inf)]  # type: ignore[misc]
-    start = stepping.settled(found, [1.0, 2.0, 3.0])
+    start = stepping.State(np.array([1.0, 2.0, 3.0]), np.zeros(3))
     same = _difference(stepping.respond(found, F, 0.0, start).end, start)
     return all("allowed" in text for text in said) and same == 0.0, f"{said[0]}; step 0 changes {same:g}"
 

@@ -9,8 +9,7 @@ from tipforce.arrays import FloatArray
 from tipforce.sensor import Fit, Model, Readings, fit_calibration
 from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
 
 _NOISE = 3e-7
 _P = 4.4

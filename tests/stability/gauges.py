@@ -12,8 +12,7 @@ from tipforce.fingertip.source import Reading, Source
 from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.contact import redundancy, scalar
 from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix, strain_matrix
 from tipforce.sources import simulated
 
 _NOISE = 1e-13  # strain^2: three counts

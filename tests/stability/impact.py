@@ -4,11 +4,10 @@ import math
 
 import numpy as np
 
-from stability.case import Observed, refusal
-from tipforce.sensor.dynamics.first_order_hold import energy
+from stability.case import Observed, energy, refusal
 from tipforce.sensor.dynamics.model import Modes, modes
-from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.plane_frame import closing_load
+from tipforce.sensor.structure.strain import FABRICATED
 from tipforce_lab.dynamics import integrators
 from tipforce_lab.dynamics.impact import Impact, Striker, impact, overload
 from tipforce_lab.dynamics.switched import slit_stop

@@ -9,11 +9,10 @@ import numpy as np
 
 from stability.case import Observed, refusal, shortened
 from tipforce.sensor.contact import scalar_condition
-from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS, POINTS
 from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, EULER_BERNOULLI, TIMOSHENKO, Frame
 from tipforce.sensor.structure.quality import condition_number, thin_limit_matrix
-from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, THIN_BEAM_RATIO, Geometry, calibration_matrix, strain_matrix
 from tipforce_lab.design.merit import merit
 
 _THICKNESSES_M = 10.0 ** np.arange(-9.0, -1.9, 0.5)

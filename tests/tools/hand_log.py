@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from canopen_device.testing import Conversation
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
 from tipforce.sources.simulated import OPEN, SATURATED, SILENT, SimulatedSource
 from tipforce_tools.demo.job import NOISE_MICROSTRAIN, OFFSETS_MICROSTRAIN, case_calibration
 

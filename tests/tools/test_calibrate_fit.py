@@ -18,9 +18,9 @@ from tipforce.host.configuration.calibration import Calibration, read_calibratio
 from tipforce.host.decoding import estimator
 from tipforce.sensor import covariance_of_estimate
 from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate
+from tipforce.sensor.calibration.statistics import matrix_uncertainty
 from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix, strain_matrix
 from tipforce_tools.estimate import COLUMNS
 from tools.rig import Printed, write_readings
 
@@ -73,6 +73,10 @@ def test_the_file_has_the_digits_that_were_told_and_gives_the_covariance_again(
     np.testing.assert_allclose(
         (interval[1] - interval[0]) / 2, record["coverage_factor"] * np.array(record["matrix_standard_uncertainty"])
     )
+    # Few degrees of freedom widen what is read as they do the interval.
+    read, A = calibration.parameter_covariance[:, :3, :, :3], np.asarray(np.linalg.inv(calibration.C), dtype=np.float64)
+    u = matrix_uncertainty(A, calibration.C, calibration.covariance_strain2, read)
+    np.testing.assert_allclose(1.959964 * u, (interval[1] - interval[0]) / 2, rtol=1e-6)
     covariance = covariance_of_estimate(
         calibration.C, calibration.covariance_strain2, calibration.parameter_covariance, [1.0, 0.0, -2.0]
     )

@@ -18,10 +18,8 @@ from tipforce.scene.reader import read_scene
 from tipforce.scene.registry import identifiers, parts
 from tipforce.sensor.contact import estimate as contact_model
 from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.layouts import CASES
-from tipforce.sensor.structure.published import GROOVES_DEG
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.layouts import CASES, GROOVES_DEG
+from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
 from tipforce.watching.feeds import Finger
 from tipforce_lab.scene_cost import part_costs
 from tipforce_tools.cli import tables

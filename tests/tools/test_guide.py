@@ -22,8 +22,7 @@ from tipforce.host.configuration.calibration import read_calibration
 from tipforce.host.network.bus import Bus
 from tipforce.sensor import covariance_of_estimate
 from tipforce.sensor.contact.estimate import force_vector, standard_uncertainties
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
 from tipforce.sources.simulated import DRIFT, OPEN, SATURATED, SILENT, STUCK, SimulatedSource
 from tipforce_tools.cli.main import main
 from tools.rig import Printed, Streams

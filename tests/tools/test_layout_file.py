@@ -13,9 +13,8 @@ from canopen_device.core.node import Device
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.sensor.contact.redundancy import weighted_inverse
-from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS
-from tipforce.sensor.structure.strain import Gauge, GaugePosition, gauge_matrix, strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, Gauge, GaugePosition, Geometry, gauge_matrix, strain_matrix
 from tipforce.sources import layout_file
 from tipforce.sources.layout_file import layout_text, read_layout, write_layout
 from tipforce.sources.simulated import SimulatedSource

@@ -19,8 +19,7 @@ from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.configuration.device_objects import FingertipObjects
 from tipforce.host.network.bus import Bus
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 from tipforce_tools.cli.main import main
 from tools.rig import Printed, Tipforce

@@ -4,12 +4,11 @@ from collections.abc import Iterator
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.sensor import FABRICATED
 from tipforce_robots.mujoco import Fingertips, TwinSample, fingertip_mjcf
 
-FloatArray = npt.NDArray[np.float64]
 R = FABRICATED.r_m
 
 

@@ -13,8 +13,7 @@ import numpy.typing as npt
 from canopen_device.running import loop
 from canopen_device.running.ports import SocketCanPort
 from tipforce.fingertip.node import fingertip_node
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 
 FIRST_NEWTONS, NEWTONS_PER_S = 1.0, 1.0

@@ -17,8 +17,7 @@ from tipforce.host.configuration.calibration import Calibration, write_calibrati
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.hand import Hand
 from tipforce.samples.record import Rows
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import calibration_matrix
+from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix
 from vcan.pressed import NEWTONS_PER_S, force_newtons, run_node
 from vcan.support import HEARTBEAT, SDO_REQUEST, Launch, RawBus, ip_link, is_boot_up, wait_until
 from vcan.support import _context as context

@@ -20,8 +20,7 @@ import pytest
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.network.bus import Bus
 from tipforce.sensor.contact import scalar_uncertainty
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix, strain_matrix
 from vcan.adc import ADDRESSES, COUNTS, Adcs, in_user_mode_linux, load_modules
 from vcan.support import NODE_ID, SYNC, Command, Frame, RawBus, running_node, start_with_fast_heartbeats
 

@@ -14,10 +14,7 @@ from typing import Any
 import msgspec
 from msgspec.structs import replace
 
-from tipforce.scene import schema
-from tipforce.scene.reader import read_scene
-from tipforce.scene.registry import parts
-from tipforce.scene.run import Outcome, run_scene
+from tipforce.scene import Outcome, parts, read_scene, run_scene, schema
 from tipforce.shipped_files import shipped_folder
 from tipforce_lab.report.study import Effort, Point, Series, Study, quartiles
 

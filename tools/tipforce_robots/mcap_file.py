@@ -20,7 +20,7 @@ from tipforce.samples import reasons
 from tipforce.samples.columns import Block
 from tipforce.samples.reasons import Status
 from tipforce.samples.record import JoinedSamples
-from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import FABRICATED
 from tipforce_robots.ros2 import bridge, cdr
 
 _SECOND_NS = 1_000_000_000

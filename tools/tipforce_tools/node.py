@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from canopen_device.machine.device import SimulatedDevice
     from canopen_device.running.store import FileStore
     from tipforce.fingertip.source import Source
-    from tipforce.sensor.structure.geometry import Geometry
-    from tipforce.sensor.structure.strain import Gauge
+    from tipforce.sensor.structure.strain import Gauge, Geometry
 
 KINDS = "sim, iio:DEVICE[,DEVICE...], replay:FILE"
 

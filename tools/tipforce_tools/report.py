@@ -27,8 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run and print; return 1 if a claim did not hold. Raises EnvironmentLackError for -o without matplotlib."""
     from tipforce_lab.report import text
-    from tipforce_lab.report.run import Run, selected
-    from tipforce_lab.report.study import Effort
+    from tipforce_lab.report.study import Effort, Run, selected
 
     if args.list:
         _print_list()
@@ -61,8 +60,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print_list() -> None:
-    from tipforce_lab.report.run import STABILITY, STUDIES
-    from tipforce_lab.report.study import all_cases
+    from tipforce_lab.report.study import STABILITY, STUDIES, all_cases
 
     rows = [(key, "study", what) for key, (_, what) in STUDIES.items()]
     rows.append((STABILITY, "cases", "all cases below"))

@@ -109,7 +109,7 @@ def _finger(scene: schema.Scene, group: schema.Nodes, node_id: int, folder: Path
             differs = f"it is for {calibration.gauges} gauges, the layout has {gauges}"
             raise InputError(f"calibration {group.calibration}: {differs}")
     elif "calibration" in chosen:
-        from tipforce.sensor.structure.geometry import FABRICATED
+        from tipforce.sensor.structure.strain import FABRICATED
 
         white = scene.noise.gauge_microstrain or 0.0 if scene.noise is not None else 0.0
         calibration = structure_calibration(
@@ -139,8 +139,7 @@ def _source(
         options["front_end"] = _front_end(scene.front_end, noise.one_over_f_microstrain, seed + 1)
     if load is None:
         return SimulatedSource([(0.0, 0.0, 0.0)] * len(layout(group.layout)), **options)
-    from tipforce.sensor.structure.geometry import FABRICATED
-    from tipforce.sensor.structure.strain import strain_matrix
+    from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
 
     def following(now_us: int) -> Triple:
         return load.force(1e-6 * (now_us - clock.start_us))
@@ -159,7 +158,7 @@ def _swinging(dynamics: schema.Dynamics, following: Callable[[int], Triple], clo
     """Return the elastic force at a conversion, that of the last of steps of ``step_us``; starts in equilibrium."""
     from tipforce.sensor.dynamics.first_order_hold import node_coefficients
     from tipforce.sensor.dynamics.model import modes
-    from tipforce.sensor.structure.geometry import FABRICATED
+    from tipforce.sensor.structure.strain import FABRICATED
     from tipforce.sources.dynamic_load import DynamicForces, DynamicLoad
 
     coefficients = node_coefficients(modes(FABRICATED, dynamics.damping_ratio), 1e-6 * dynamics.step_us)

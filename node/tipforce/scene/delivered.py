@@ -18,8 +18,7 @@ from tipforce.sources.simulated import SimulatedSource
 
 if TYPE_CHECKING:
     from tipforce.host.configuration.calibration import Calibration
-    from tipforce.sensor.structure.geometry import Geometry
-    from tipforce.sensor.structure.strain import Gauge
+    from tipforce.sensor.structure.strain import Gauge, Geometry
 
 CALIBRATION = "calibration"
 """The name of its group in a store."""
@@ -39,8 +38,8 @@ def check_noise(noise_microstrain: float) -> None:
 
 def beam_calibration(layout: str = "I", pull: bool = False, noise_microstrain: float = 0.5) -> Calibration:
     """Return the calibration of a finger by beam theory, as ideal weights would yield it. Raises InputError."""
-    from tipforce.sensor.structure.geometry import FABRICATED
     from tipforce.sensor.structure.layouts import layout as points_of
+    from tipforce.sensor.structure.strain import FABRICATED
 
     check_noise(noise_microstrain)
     return structure_calibration(

@@ -118,11 +118,9 @@ def _load_parts(scene: schema.Scene, loads: Sequence[schema.LoadHistory | None])
     loaded = any(load is not None for load in loads)
     moving = any(load is not None and not load.constant for load in loads)
     swinging = scene.dynamics is not None and loaded
-    published = any(isinstance(load, schema.Grooves) for load in scene.loads)
-    modules = ("tipforce.sensor.structure.published",) if published else ()
     why = "[[loads]] that change" if moving else "[dynamics]" if swinging else ""
     yield _part("structure", "[[loads]]" if loaded else "", "no [[loads]]: the gauges are unloaded", *_STRUCTURE)
-    yield _part("load history", why, "every load is static" if loaded else "no [[loads]]", *modules)
+    yield _part("load history", why, "every load is static" if loaded else "no [[loads]]")
     without = "no [[loads]]" if scene.dynamics else "no [dynamics]: the gauges follow the load without delay"
     yield _part("dynamics", "[dynamics]" if swinging else "", without, *_DYNAMICS)
 

@@ -230,8 +230,8 @@ def _missing(contact: Contact, syncs: int) -> dict[str, int]:
 
 def _slit_closed(slit: schema.Slit, applied: FloatArray) -> BoolArray:
     """Return whether static loads (k, 3) would close the slit, (k,): simulated gauges stay linear, real ones do not."""
-    from tipforce.sensor.structure.geometry import FABRICATED
     from tipforce.sensor.structure.plane_frame import closing_load
+    from tipforce.sensor.structure.strain import FABRICATED
 
     directions, which = np.unique(applied[:, 1:], axis=0, return_inverse=True)
     radians = np.radians(directions).tolist()

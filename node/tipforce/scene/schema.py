@@ -146,7 +146,7 @@ class Grooves(_Load, frozen=True, kw_only=True, tag="grooves"):
     """Total time for unloading, moving the rope and loading."""
 
     def _knots(self, _node_id: int) -> list[Knot]:
-        from tipforce.sensor.structure.published import GROOVES_DEG
+        from tipforce.sensor.structure.layouts import GROOVES_DEG
 
         knots: list[Knot] = []
         t, third = 0.0, self.change_s / 3.0

@@ -22,8 +22,7 @@ from tipforce.host.configuration.measurements import MOST_LOAD_NEWTONS
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.interfaces import open_bus
 from tipforce.scene.delivered import CALIBRATION, beam_calibration, check_noise, pulls, stored_calibration
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
 from tipforce.sources.simulated import DRIFT, OPEN, SATURATED, SILENT, STUCK, SimulatedSource
 
 Load = tuple[float, float, float]

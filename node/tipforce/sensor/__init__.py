@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from tipforce.sensor.dynamics.first_order_hold import respond as respond
     from tipforce.sensor.dynamics.model import STEEL_DENSITY as STEEL_DENSITY
     from tipforce.sensor.dynamics.model import modes as modes
-    from tipforce.sensor.structure.geometry import FABRICATED as FABRICATED
-    from tipforce.sensor.structure.geometry import Geometry as Geometry
     from tipforce.sensor.structure.layouts import LAYOUTS as LAYOUTS
     from tipforce.sensor.structure.layouts import layout as layout
     from tipforce.sensor.structure.off_axis import apparent_force as apparent_force
@@ -34,6 +32,8 @@ if TYPE_CHECKING:
     from tipforce.sensor.structure.plane_frame import closing_load as closing_load
     from tipforce.sensor.structure.quality import condition_number as condition_number
     from tipforce.sensor.structure.quality import noise_gain as noise_gain
+    from tipforce.sensor.structure.strain import FABRICATED as FABRICATED
+    from tipforce.sensor.structure.strain import Geometry as Geometry
     from tipforce.sensor.structure.strain import calibration_matrix as calibration_matrix
     from tipforce.sensor.structure.strain import strain_matrix as strain_matrix
     from tipforce.sensor.structure.strain import strain_row as strain_row

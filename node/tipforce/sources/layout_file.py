@@ -1,25 +1,18 @@
 """Gauge layouts by name or file: I, II, III (their mirrors I', II', III'), or a TOML file.
 
-The file lists the gauges, SG1 first, and the dimensions of the body if they differ from the paper's::
+A file lists the gauges, SG1 first, three to eight: points of Table 1, or places along the beams, or both::
 
-    points = ["K_H", "S_H", "U"]        # points of Table 1
-
-or gauges at any position along the beams, or both::
-
-    points = [
-        { beam = "H", side = "left", position_mm = 1.08 },
-        { beam = "H", side = "right", position_mm = 1.08, face = "lower" },
-        "U",
-    ]
+    points = ["U", { beam = "H", side = "left", position_mm = 1.08 }, { beam = "V", side = "right", position_mm = 9 }]
     gauge_length_mm = 1.0
 
-points: three to eight. beam: "H", the horizontal one, or "V", the vertical one. side: on H the arm at negative
-("left") or positive x ("right"), on V the face there. position_mm: the middle of the gauge, counted along the beam
-from the joint: on H from the middle of the body up to a, on V from the lower side of the horizontal beam up to d.
-face: on H "lower" (towards the fixture, the default) or "upper" (in the slit). gauge_length_mm documents the gauge
-of the design; it changes no number, because strain is linear along a beam. A table [geometry] has all of a_m, d_m, r_m,
-h1_m, h2_m, width_m and youngs_modulus_pascals (metres, Pa; ``sensor.Geometry``). A [bridge] table (``BridgeTable``,
-docs/hardware.md) states the wiring of the gauges to a real converter; only `tipforce node --source iio:...` reads it.
+beam: "H", the horizontal one, or "V", the vertical one. side: on H the arm at negative ("left") or positive x
+("right"), on V the face there. position_mm: the middle of the gauge, counted along the beam from the joint: on H from
+the middle of the body up to a, on V from the lower side of the horizontal beam up to d. face: on H "lower" (towards the
+fixture, the default) or "upper" (in the slit). gauge_length_mm documents the gauge of the design; it changes no number,
+because strain is linear along a beam. A table [geometry] has all of a_m, d_m, r_m, h1_m, h2_m, width_m and
+youngs_modulus_pascals (metres, Pa; ``sensor.Geometry``), if they differ from the paper's. A [bridge] table
+(``BridgeTable``, docs/hardware.md) states the wiring of the gauges to a real converter, for `tipforce node --source
+iio:...` alone.
 """
 
 import math
@@ -32,9 +25,8 @@ import msgspec
 from canopen_device.toml_table import convert, read_table
 from tipforce.errors import InputError
 from tipforce.output_file import LAYOUT, write_file
-from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS, layout
-from tipforce.sensor.structure.strain import Gauge, GaugePosition, check_gauges
+from tipforce.sensor.structure.strain import FABRICATED, Gauge, GaugePosition, Geometry, check_gauges
 
 
 class _Place(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):

@@ -26,9 +26,8 @@ from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
 from tipforce.samples.columns import Block
 from tipforce.samples.record import Rows, joined
 from tipforce.samples.rows import RowTally
-from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import CASE_OF_CODE, LAYOUTS
-from tipforce.sensor.structure.strain import Gauge
+from tipforce.sensor.structure.strain import FABRICATED, Gauge, Geometry
 
 if TYPE_CHECKING:
     from tipforce.host.hand.hand import Hand

@@ -14,8 +14,7 @@ from tipforce.errors import InputError, NoResponseError
 from tipforce.host.configuration.capture import RESOLUTION_MICROSTRAIN, Capture, GaugeReader
 from tipforce.host.configuration.guide import file_plan, groove_plan
 from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
 from tipforce.sources.simulated import OPEN, SATURATED, SILENT
 
 LOAD = (4.4, 90.0, 45.0)

@@ -13,8 +13,7 @@ from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.decoding.service_frames import add_samples, find_duplicates
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.network.faulty_bus import Faults, Injector
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 
 Frame = tuple[int, int, bytes]  # ns, can_id, data

@@ -35,8 +35,7 @@ from tipforce.host.network.lss import LssMaster
 from tipforce.host.network.sdo import Exchange, Request, SdoChannel
 from tipforce.samples.reasons import PRESENT
 from tipforce.samples.record import Rows
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 
 LATENCY_US, LOOK_US, REQUEST_US = 150, 1000, 200

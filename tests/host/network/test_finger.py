@@ -16,8 +16,7 @@ from tipforce.errors import InputError, RefusedError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration, difference
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import Finger
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import calibration_matrix
+from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix
 
 NODE = 5
 LOAD = (4.4, 90.0, 60.0)

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from tipforce.arrays import IntArray
-from tipforce.sensor.calibration.data import Readings
+from tipforce.sensor import Readings, layout
 from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate
-from tipforce.sensor.structure.layouts import layout
 
 CLEAN = Faults(drift_strain=0.0, groove_scatter_rad=0.0, hang_scatter_rad=0.0, outlier_share=0.0, saturation=None)
 

@@ -3,14 +3,22 @@
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from bench.calibration import CONDITIONS, SEEDS, compare, coverage, pooled
 
 from sensor.calibration.made import CLEAN, readings, simulated, some
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.sensor.calibration.data import Model, beam_prior
-from tipforce.sensor.calibration.fit import fit_calibration, linear_fit
+from tipforce.sensor import (
+    FABRICATED,
+    Model,
+    beam_prior,
+    condition_number,
+    fit_calibration,
+    force_vector,
+    linear_fit,
+    strain_matrix,
+)
 from tipforce.sensor.calibration.result import (
     DIGITS,
     Fit,
@@ -21,13 +29,8 @@ from tipforce.sensor.calibration.result import (
     to_digits,
 )
 from tipforce.sensor.calibration.simulation import Simulated, simulate
-from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import POINTS, layout
-from tipforce.sensor.structure.quality import condition_number
-from tipforce.sensor.structure.strain import strain_matrix
 
-FloatArray = npt.NDArray[np.float64]
 PLAIN = Model(loss="none")
 
 

@@ -9,18 +9,13 @@ from bench.honesty import INVISIBLE, Rig, cells, drifting, false_alarms, row_of,
 
 from sensor.calibration.made import CLEAN, readings, simulated
 from tipforce.errors import InputError
+from tipforce.sensor import FABRICATED, Fit, force_vector, layout, strain_matrix
 from tipforce.sensor.calibration.data import Model, Readings, require_degrees, require_order, require_size
 from tipforce.sensor.calibration.distributions import f_quantile, t_quantile, variance_factors
-from tipforce.sensor.calibration.fit import best_fit, fit_calibration
-from tipforce.sensor.calibration.outliers import rejections
-from tipforce.sensor.calibration.result import Fit
+from tipforce.sensor.calibration.fit import best_fit, fit_calibration, rejections
 from tipforce.sensor.calibration.simulation import paper_grooves, simulate
 from tipforce.sensor.calibration.statistics import overload_newtons, redundancy_limit
-from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.contact.scalar_redundancy import chi_square_threshold
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.layouts import layout
-from tipforce.sensor.structure.strain import strain_matrix
 from tipforce_lab.report.studies.honesty import GAUGES
 
 A = strain_matrix(FABRICATED, "I")

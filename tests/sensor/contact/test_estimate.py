@@ -16,8 +16,7 @@ from tipforce.errors import InputError
 from tipforce.sensor.contact import scalar, scalar_uncertainty
 from tipforce.sensor.contact.estimate import contacts, force_from_strain, force_vector, standard_uncertainties
 from tipforce.sensor.contact.validity import check_limits
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix, strain_matrix
 
 SMALL = 4.0 * np.spacing(pi)
 """A few units in the last place of an angle near pi."""

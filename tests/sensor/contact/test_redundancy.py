@@ -4,10 +4,10 @@ from math import inf, isnan, nan
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from bench.fault_detection import alike, separation
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.contact import scalar_redundancy
 from tipforce.sensor.contact.estimate import force_vector
@@ -20,11 +20,9 @@ from tipforce.sensor.contact.redundancy import (
     structure_matrix,
     weighted_inverse,
 )
-from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import POINTS
-from tipforce.sensor.structure.strain import GaugePosition, position_matrix, strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, GaugePosition, position_matrix, strain_matrix
 
-FloatArray = npt.NDArray[np.float64]
 SIGMA = 1e-6
 FIVE = [GaugePosition("H", "left", 0.0), GaugePosition("H", "right", 0.0), GaugePosition("V", "right", 15e-3)]
 FIVE += [GaugePosition("H", "left", 15e-3), GaugePosition("V", "left", 5e-3)]  # case I, then L, then one of its own

@@ -3,7 +3,6 @@
 from math import inf, isnan, nan, pi, sqrt
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from bench import fault_detection
 from bench.coverage import DELTAS_DEG, QUICK_TRIALS, SNRS, failures, miss_uncertainties, report, study, without_the_one
@@ -11,12 +10,11 @@ from bench.fault_detection import FIVE, SIX, false_alarms, rates, weights
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
+from tipforce.sensor import contacts, curvature, first_order_holds, force_vector, standard_uncertainties
 from tipforce.sensor.contact import scalar_uncertainty
-from tipforce.sensor.contact.estimate import contacts, force_vector, standard_uncertainties
-from tipforce.sensor.contact.validity import curvature, first_order_holds
 
-FloatArray = npt.NDArray[np.float64]
 UPPER = np.triu_indices(3)
 # Between are components with subnormal squares: they have fewer digits, in either formula.
 NORMAL = st.floats(-1e3, 1e3).filter(lambda value: not 1e-166 < abs(value) < 1e-142)

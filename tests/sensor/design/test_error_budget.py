@@ -5,14 +5,13 @@ from dataclasses import replace
 from math import pi
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.contact.estimate import contacts, force_vector
-from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.off_axis import PlacedGauge, off_axis_wrenches, planar_part, wrench_strain_matrix
-from tipforce.sensor.structure.strain import GaugePosition, position_matrix
+from tipforce.sensor.structure.strain import FABRICATED, GaugePosition, position_matrix
 from tipforce_lab.design.error_budget import (
     DEGREE,
     Causes,
@@ -25,7 +24,6 @@ from tipforce_lab.design.error_budget import (
     pad_loads,
 )
 
-FloatArray = npt.NDArray[np.float64]
 Draw = Callable[[np.random.Generator], FloatArray]
 
 # Inside the beams, so that a gauge may shift both ways.

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import LAYOUTS
 from tipforce.sensor.structure.plane_frame import slit_closure, worst_stress
-from tipforce.sensor.structure.strain import GaugePosition, gauge_matrix
+from tipforce.sensor.structure.strain import FABRICATED, GaugePosition, gauge_matrix
 from tipforce_lab.design import search as designs
 from tipforce_lab.design.merit import AGREEMENT, FIGURES, Assessment, Limits, assess, glued, merit, pareto
 
@@ -231,6 +230,11 @@ def test_limits_that_leave_nothing(limits: Limits) -> None:
 
 
 def test_other_bad_input() -> None:
+    for load_newtons in (0.0, math.nan):
+        with pytest.raises(InputError, match=r"load = .*allowed is"):
+            Limits(load_newtons=load_newtons)
+    with pytest.raises(InputError, match="noise = nan"):
+        merit(np.eye(3), math.nan, LOAD)
     with pytest.raises(InputError, match="0 starts"):
         designs.search(3, "theta", LIMITS, starts=0)
     with pytest.raises(InputError, match="objective 'size' is not known: allowed are theta, noise"):

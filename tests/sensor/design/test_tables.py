@@ -7,17 +7,15 @@ from math import isnan, nan
 import numpy as np
 import pytest
 
-from tipforce.errors import InputError
+from tipforce.sensor import FABRICATED, Geometry, force_vector, standard_uncertainties
 from tipforce.sensor.calibration.simulation import paper_grooves
-from tipforce.sensor.contact.estimate import force_vector, standard_uncertainties
 from tipforce.sensor.structure import quality, strain
-from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS
 from tipforce.sensor.structure.plane_frame import worst_stress
-from tipforce.sensor.structure.published import HALF_DIGIT, MEASURED_MATRICES, TABLE_2
 from tipforce_lab.design import tables
-from tipforce_lab.design.merit import Limits, load_angles, merit, worst_strain
+from tipforce_lab.design.merit import load_angles, merit, worst_strain
 from tipforce_lab.design.sections import simulate_groove_errors
+from tipforce_lab.design.tables import HALF_DIGIT, MEASURED_MATRICES, TABLE_2
 
 ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
 THETA, PHI = np.meshgrid(np.radians(np.arange(0.0, 180.5, 0.5)), np.radians(np.arange(-179.5, 180.5, 0.5)))
@@ -45,6 +43,7 @@ def test_maxima_against_a_search() -> None:
         for theta in (0.0, 70.0) if isnan(best.theta_deg) else (best.theta_deg,):
             phi = best.phi_deg + (theta if isnan(best.theta_deg) and g2 else 0.0)
             assert tables.reading((g1, g2, g3), theta, phi) == pytest.approx(best.value, rel=1e-9)
+    assert tables.maximum_over_contacts((0.0, 0.0, 0.0)) == pytest.approx((0.0, nan, 0.0), nan_ok=True)
 
 
 def test_table_2_thin_limit() -> None:
@@ -117,10 +116,6 @@ def test_no_common_gauge_shift_gives_the_measured_condition_numbers() -> None:
     assert set(shifts_m.values()) == {0.0}
 
 
-def test_maximum_of_nothing() -> None:
-    assert tables.maximum_over_contacts((0.0, 0.0, 0.0)) == pytest.approx((0.0, nan, 0.0), nan_ok=True)
-
-
 def test_grooves_pull_outward() -> None:
     grooves = paper_grooves()
     assert len(grooves.theta_rad) == 19
@@ -179,14 +174,3 @@ def test_worst_stress_and_strain_over_all_angles() -> None:
     assert worst_strain(A, 4.4) == pytest.approx(largest, rel=1e-3)
     assert worst_stress(FABRICATED, 4.4) == pytest.approx(largest * FABRICATED.youngs_modulus_pascals, rel=1e-3)
     assert worst_stress(FABRICATED, 4.4) == pytest.approx(187.0e6, rel=1e-3)
-
-
-@pytest.mark.parametrize("load_newtons", [0.0, math.nan])
-def test_loads_that_are_wrong(load_newtons: float) -> None:
-    with pytest.raises(InputError, match="allowed is"):
-        Limits(load_newtons=load_newtons)
-
-
-def test_matrices_and_noise_that_are_wrong() -> None:
-    with pytest.raises(InputError, match=r"noise = nan"):
-        merit(np.eye(3), math.nan, 1.0)

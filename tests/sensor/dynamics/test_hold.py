@@ -10,11 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from stability.case import energy
 from tipforce.errors import InputError
-from tipforce.sensor.dynamics.first_order_hold import Hold, at_rest, energy, hold, respond
+from tipforce.sensor.dynamics.first_order_hold import Hold, at_rest, hold, respond
 from tipforce.sensor.dynamics.model import Modes, half_cylinder, modes
-from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.plane_frame import Frame, closing_load, slit_closure
+from tipforce.sensor.structure.strain import FABRICATED
 from tipforce_lab.dynamics import integrators
 from tipforce_lab.dynamics.impact import Striker, impact, overload
 from tipforce_lab.dynamics.switched import slit_stop

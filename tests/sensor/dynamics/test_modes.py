@@ -6,12 +6,12 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.model import RigidBody, half_cylinder, modes
-from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import FABRICATED
 from tipforce_lab.dynamics import integrators
 from tipforce_lab.dynamics.impact import Striker, impact
 
@@ -85,7 +85,6 @@ def test_what_cannot_be_is_refused(make: Callable[[], object], says: str) -> Non
         make()
 
 
-FloatArray = npt.NDArray[np.float64]
 Fixed = Callable[[integrators.Problem, integrators.Load, FloatArray], FloatArray]
 
 BODY = modes(FABRICATED, 0.01)

@@ -6,13 +6,12 @@ from functools import partial
 from math import exp, pi, radians, sqrt
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from numpy.polynomial import Legendre, Polynomial
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.structure import off_axis
-from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
 from tipforce.sensor.structure.layouts import POINTS
 from tipforce.sensor.structure.plane_frame import (
     ELASTIC_ROOTS,
@@ -26,15 +25,16 @@ from tipforce.sensor.structure.plane_frame import (
     slit_closure,
 )
 from tipforce.sensor.structure.strain import (
+    FABRICATED,
+    THIN_BEAM_RATIO,
     GaugePosition,
+    Geometry,
     gauge_matrix,
     nominal_position,
     position_matrix,
     strain_matrix,
     strain_row,
 )
-
-FloatArray = npt.NDArray[np.float64]
 
 ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
 """All dimensions different, so that no symbol can stand in for another."""

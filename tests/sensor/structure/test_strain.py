@@ -12,8 +12,8 @@ import pytest
 from tipforce.errors import InputError
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure import quality, strain
-from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS, POINTS, layout, layout_code
+from tipforce.sensor.structure.strain import FABRICATED, THIN_BEAM_RATIO, Geometry
 from tipforce_lab.design.sections import most_influential, shift_to_reach, slopes_per_mm
 
 ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)

@@ -15,8 +15,7 @@ from tipforce.host.configuration.calibration import Calibration, write_calibrati
 from tipforce.host.decoding.pdo_layout import node_layout
 from tipforce.host.decoding.sample_table import Column, Table
 from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix, strain_matrix
 from tipforce_tools.cli.main import main
 from tipforce_tools.decode.resample import Resampler
 from tools.decode.logs import decode, log_lines, number, rows_of, write_log

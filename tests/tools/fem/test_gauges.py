@@ -5,7 +5,6 @@ import sys
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from bench import fem as studies
 
@@ -25,7 +24,6 @@ from tipforce_lab.fem.plane_stress import (
 from tipforce_lab.report.studies import structure
 from tipforce_lab.report.study import Effort, Study, Timing
 
-FloatArray = npt.NDArray[np.float64]
 GAUGES = ("S_H", "U")
 
 
@@ -198,12 +196,13 @@ def test_the_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Mon
 
 
 @pytest.fixture(scope="module")
-def found() -> tuple[dict[str, Study], int]:
+def found() -> dict[str, Study]:
     steps = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(structure, "timed", _once)
         studies = structure.studies(Effort(quick=True), lambda: steps.append(1))
-    return {one.key: one for one in studies}, len(steps)
+    assert len(steps) == structure.STEPS
+    return {one.key: one for one in studies}
 
 
 def _once(work: object, _: Effort) -> Timing:
@@ -212,13 +211,9 @@ def _once(work: object, _: Effort) -> Timing:
     return Timing(1.0, 1.0, 1.0, 1)
 
 
-def test_the_steps_are_those_announced(found: tuple[dict[str, Study], int]) -> None:
-    assert found[1] == structure.STEPS
-    assert set(found[0]) == {"structure-condition", "structure-strain"}
-
-
-def test_models_and_their_errors(found: tuple[dict[str, Study], int]) -> None:
-    study = found[0]["structure-condition"]
+def test_models_and_their_errors(found: dict[str, Study]) -> None:
+    assert set(found) == {"structure-condition", "structure-strain"}
+    study = found["structure-condition"]
     errors = {one.method: [point.error for point in one.points] for one in study.series}
     assert study.reference_error < 2e-3
     assert errors["Table 1, at its points"][0] == pytest.approx(0.12, abs=0.01)

@@ -7,15 +7,13 @@ from dataclasses import replace
 from functools import cache, partial
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from skfem import Basis, ElementTriP2, ElementVector, MeshTri
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import LAYOUTS
 from tipforce.sensor.structure.quality import condition_number, mirror
-from tipforce.sensor.structure.strain import GaugePosition, strain_row
+from tipforce.sensor.structure.strain import FABRICATED, GaugePosition, strain_row
 from tipforce_lab.fem.mesh import GRADING, STATED, Outline, Resolution, Triangles, triangulate
 from tipforce_lab.fem.plane_stress import Model, Patch, Plane, Solution, _stiffness, solve, strain_matrix
 
@@ -26,7 +24,6 @@ LOW_LEGS = Outline(leg_below_m=2e-3, slit_fillet_m=0.1e-3)
 NO_FIXTURE = Outline(fixture_depth_m=0.0)
 ODD = Outline(replace(FABRICATED, a_m=11e-3, d_m=17e-3, r_m=19e-3, h1_m=0.5e-3, h2_m=0.7e-3), fixture_half_width_m=4e-3)
 OUTLINES = [STATED, THIN_LEGS, ROUND, HALF_ROUND, LOW_LEGS, NO_FIXTURE, ODD]
-FloatArray = npt.NDArray[np.float64]
 
 
 def areas_m2(mesh: Triangles) -> np.ndarray:

@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import pytest
 
-from tipforce_lab.report import run
 from tipforce_lab.report.study import Case, Counted, Effort, Grid, GridRow, Need, Outcome, Point, Series, Study, Timing
 
 TIMING = Timing(2e-6, 1e-6, 4e-6, 7)
@@ -76,6 +75,5 @@ def module(studies: Callable[[Effort, Callable[[], None]], list[Study]], steps: 
 def install(monkeypatch: pytest.MonkeyPatch, modules: dict[str, types.ModuleType], with_cases: bool = True) -> None:
     for key, made in modules.items():
         monkeypatch.setitem(sys.modules, f"made_{key}", made)
-    monkeypatch.setattr(run, "STUDIES", {key: (f"made_{key}", f"about {key}") for key in modules})
-    monkeypatch.setattr(run, "all_cases", cases if with_cases else list)
+    monkeypatch.setattr("tipforce_lab.report.study.STUDIES", {key: (f"made_{key}", f"about {key}") for key in modules})
     monkeypatch.setattr("tipforce_lab.report.study.all_cases", cases if with_cases else list)

@@ -15,8 +15,7 @@ import pytest
 from bench.documents import filled, section
 
 from tipforce_lab.report import page
-from tipforce_lab.report.run import LeftOut, Report
-from tipforce_lab.report.study import Effort, Study
+from tipforce_lab.report.study import Effort, LeftOut, Report, Study
 from tipforce_lab.report.text import Cell, advice_table, verdict
 from tipforce_tools.cli.common import json_line
 from tipforce_tools.cli.main import main

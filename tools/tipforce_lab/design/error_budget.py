@@ -11,8 +11,8 @@ from tipforce.errors import InputError
 from tipforce.output_file import save_figure
 from tipforce.sensor import Geometry, first_order_holds, force_vector, standard_uncertainties
 from tipforce.sensor.calibration.simulation import paper_grooves
+from tipforce.sensor.structure.layouts import CALIBRATION_WEIGHT_NEWTONS
 from tipforce.sensor.structure.off_axis import PlacedGauge, off_axis_wrenches, wrench_strain_matrix
-from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS
 from tipforce.sensor.structure.strain import GaugePosition, strain_row
 from tipforce_lab import plotting as figures
 

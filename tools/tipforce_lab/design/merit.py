@@ -11,11 +11,10 @@ from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.statistics import FALSE_ALARM_RATE
 from tipforce.sensor.contact.redundancy import detectable_strain, parity, weighted_inverse
-from tipforce.sensor.structure.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.layouts import CALIBRATION_WEIGHT_NEWTONS
 from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, PAPER_SLIT_M, Frame, slit_closure, worst_stress
-from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS
 from tipforce.sensor.structure.quality import condition_number, noise_gain, shifted
-from tipforce.sensor.structure.strain import Gauge, gauge_matrix, gauge_name
+from tipforce.sensor.structure.strain import FABRICATED, Gauge, Geometry, gauge_matrix, gauge_name
 
 _FRICTION = 0.5
 _CONTACTS, _DIRECTIONS = 61, 9  # midpoints over pad and friction cone; twice as many change u by less than 1e-3

@@ -10,10 +10,9 @@ import numpy as np
 from tipforce.arrays import FloatArray
 from tipforce.sensor.dynamics.model import half_cylinder, modes
 from tipforce.sensor.structure import quality, strain
-from tipforce.sensor.structure.geometry import Geometry
-from tipforce.sensor.structure.layouts import CASES, Layout
+from tipforce.sensor.structure.layouts import CALIBRATION_WEIGHT_NEWTONS, CASES, GAUGE_LENGTH_M, Layout
 from tipforce.sensor.structure.plane_frame import PAPER_SLIT_M, slit_closure, worst_stress
-from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS, GAUGE_LENGTH_M
+from tipforce.sensor.structure.strain import Geometry
 from tipforce_lab.design import tables
 from tipforce_lab.design.tables import MICRO, MM, Record, Section
 

@@ -14,8 +14,7 @@ from tipforce.arrays import FloatArray
 from tipforce.output_file import make_folder, save_figure
 from tipforce.sensor import FABRICATED, Geometry, apparent_force, off_axis_wrenches
 from tipforce.sensor.calibration.simulation import paper_grooves
-from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS
-from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS, GAUGE_LENGTH_M
+from tipforce.sensor.structure.layouts import CALIBRATION_WEIGHT_NEWTONS, CASES, GAUGE_LENGTH_M, LAYOUTS, POINTS
 from tipforce.sensor.structure.strain import nominal_position
 from tipforce_lab.design.sections import condition_against_shift, simulate_groove_errors
 from tipforce_lab.design.tables import MM, Section, ranked_layouts

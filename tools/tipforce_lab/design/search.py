@@ -14,10 +14,9 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS
 from tipforce.sensor.structure.plane_frame import AnyArray, slit_compliance
-from tipforce.sensor.structure.strain import GaugePosition
+from tipforce.sensor.structure.strain import FABRICATED, GaugePosition, Geometry
 from tipforce_lab.design.merit import FIGURES, Assessment, Limits, assess, glued, load_weights, pareto
 
 UNIT_M = 1e-3  # the search uses millimetres and microstrain

@@ -12,10 +12,16 @@ from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor import Geometry, contacts, force_from_strain, force_vector, standard_uncertainties
 from tipforce.sensor.calibration.simulation import Grooves, paper_grooves
-from tipforce.sensor.structure import published
-from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, Layout, layout
+from tipforce.sensor.structure.layouts import (
+    CALIBRATION_WEIGHT_NEWTONS,
+    CASES,
+    GAUGE_LENGTH_M,
+    LAYOUTS,
+    POINTS,
+    Layout,
+    layout,
+)
 from tipforce.sensor.structure.off_axis import apparent_force, off_axis_wrenches, off_centre_wrenches
-from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS, GAUGE_LENGTH_M
 from tipforce.sensor.structure.quality import shifted_matrix, thin_limit_matrix
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce_lab.design import tables
@@ -83,7 +89,7 @@ def simulate_groove_errors(
     A = strain_matrix(geometry, gauges)
     rng, P_newtons, grooves = np.random.default_rng(seed), CALIBRATION_WEIGHT_NEWTONS, paper_grooves()
     F = force_vector(P_newtons, grooves.phi_rad, grooves.theta_rad)
-    low, high = np.radians(published.CALIBRATION_THETA_DEG)
+    low, high = np.radians(tables.CALIBRATION_THETA_DEG)
     fitted = F[(grooves.theta_rad >= low) & (grooves.theta_rad <= high + 1e-9)]
     errors = np.empty((repeats, len(F), 3))
     for index in range(repeats):
@@ -253,7 +259,7 @@ def table_2_section(geometry: Geometry) -> Section:
     records = []
     limits = (thin_limit_matrix(POINTS) * tables.THIN_UNIT).tolist()
     for row, (g1, g2, g3) in zip(tables.table_2(geometry), limits, strict=True):
-        printed = published.TABLE_2[row.point]
+        printed = tables.TABLE_2[row.point]
         there = tables.reading((g1, g2, g3), printed.theta_deg, printed.phi_deg)
         records.append({
             "point": row.point, "paper": printed.maximum, "paper_at_deg": [printed.theta_deg, printed.phi_deg],
@@ -299,8 +305,8 @@ def table_3_section(geometry: Geometry) -> Section:
     """Return table 3: all three columns beside the recomputed ones, with explanations of the differences."""
     records = []
     for case in CASES:
-        theory, measured = tables.table_3(geometry, case), tables.rounding_range(published.MEASURED_MATRICES[case])
-        printed, simulated = published.TABLE_3_MEASUREMENT[case], published.TABLE_3_SIMULATION[case]
+        theory, measured = tables.table_3(geometry, case), tables.rounding_range(tables.MEASURED_MATRICES[case])
+        printed, simulated = tables.TABLE_3_MEASUREMENT[case], tables.TABLE_3_SIMULATION[case]
         # The inward shift with which beam theory gives the finite-element column.
         moving = {"I": LAYOUTS["I"], "II": ("L",), "III": ("L", "R")}[case]
         shifts = [
@@ -308,11 +314,11 @@ def table_3_section(geometry: Geometry) -> Section:
             for others in (0.0, 0.0 if case == "I" else 0.5e-3)
         ]
         records.append({
-            "case": case, "gauges": LAYOUTS[case], "paper_theory": published.TABLE_3_THEORY[case],
+            "case": case, "gauges": LAYOUTS[case], "paper_theory": tables.TABLE_3_THEORY[case],
             "thin": theory.thin, "actual": theory.actual, "row_equilibrated": theory.row_equilibrated,
             "noise_gain_N_per_ue": theory.noise_gain_newtons / MICRO,
             "by_unit": tables.condition_numbers_by_unit(geometry, case), "paper_simulation": simulated,
-            "simulation_over_theory": simulated / published.TABLE_3_THEORY[case], "simulation_shift_of": moving,
+            "simulation_over_theory": simulated / tables.TABLE_3_THEORY[case], "simulation_shift_of": moving,
             "simulation_shift_mm": shifts[0], "simulation_shift_mm_others_half_mm": shifts[1],
             "paper_measurement": printed, "printed_matrix": measured.printed,
             "printed_matrix_range": [measured.low, measured.high],
@@ -331,7 +337,7 @@ _TABLE_3_COLUMNS = {
 
 def _table_3_notes(geometry: Geometry) -> list[str]:
     apart = tables.shared_gauge_disagreement()
-    measured = {case: tables.rounding_range(published.MEASURED_MATRICES[case]).printed for case in CASES}
+    measured = {case: tables.rounding_range(tables.MEASURED_MATRICES[case]).printed for case in CASES}
     shifts_m, miss = tables.nearest_common_shifts(geometry, measured)
     moved = ", ".join(f"{point} {value * MM:.2f}" for point, value in shifts_m.items())
     return [

@@ -51,12 +51,15 @@ class Striker:
         return np.array([math.sin(phi), math.sin(phi - self.theta_rad), math.cos(phi)])
 
 
-class Assembly:
-    """The system and the meaning of its states. modes None is rigid ground."""
+RIGID_GROUND = Modes(np.zeros(0), np.zeros(0), np.zeros((0, 3)), np.zeros((3, 0)), np.zeros((3, 0)))
 
-    def __init__(self, modes: Modes | None, striker: Striker | None = None, slit: SlitStop | None = None) -> None:
-        self.modes, self.striker, self.slit = modes, striker, slit
-        n = self.n = 0 if modes is None else len(modes.omega_rad_s)
+
+class Assembly:
+    """The system and the meaning of its states."""
+
+    def __init__(self, modes: Modes, striker: Striker | None = None, slit: SlitStop | None = None) -> None:
+        self.modes, self.striker, self.slit, omega = modes, striker, slit, modes.omega_rad_s
+        n = self.n = len(omega)
         heavy = striker is None or math.isinf(striker.mass_kg)
         self._speed_scale = 1.0 if striker is None or heavy else math.sqrt(striker.mass_kg)
         self._gap_unit = 1.0 if slit is None else math.sqrt(float(slit.compliance[0, 0]))
@@ -64,28 +67,23 @@ class Assembly:
         size = 2 * n + 9
         A, speeds = np.zeros((size, size)), slice(n, 2 * n)
         A[self.load : self.rate, self.rate : self.one] = np.eye(3)
-        if modes is not None:
-            omega = modes.omega_rad_s
-            A[:n, speeds], A[speeds, :n] = np.diag(omega), -np.diag(omega)
-            A[speeds, speeds] = -2.0 * np.diag(modes.damping_ratio * omega)
-            A[speeds, self.load : self.rate] = modes.load_shape
+        A[:n, speeds], A[speeds, :n] = np.diag(omega), -np.diag(omega)
+        A[speeds, speeds] = -2.0 * np.diag(modes.damping_ratio * omega)
+        A[speeds, self.load : self.rate] = modes.load_shape
         body = 0 if striker is None else 1
         count = body + (0 if slit is None else len(slit.compliance))
         push, closure, compliance = np.zeros((size, count)), np.zeros((count, size)), np.zeros((count, count))
         if striker is not None:
-            root = math.sqrt(striker.stiffness)
-            along = np.zeros(0) if modes is None else modes.load_shape @ striker.direction
+            root, along = math.sqrt(striker.stiffness), modes.load_shape @ striker.direction
             A[self.overlap, self.speed], A[self.overlap, speeds] = root / self._speed_scale, -root * along
             push[speeds, 0], push[self.speed, 0] = along, 0.0 if heavy else -1.0 / self._speed_scale
             closure[0, self.overlap], compliance[0, 0] = 1.0 / root, 1.0 / striker.stiffness
         if slit is not None:
-            if modes is None:
-                raise InputError("a slit on rigid ground: allowed with the modes of a structure only")
             compliance[body:, body:] = slit.compliance
             for j, per_newton in enumerate(slit.closure_per_newton, body):
-                closure[j, :n] = per_newton @ modes.force_shape * modes.omega_rad_s
+                closure[j, :n] = per_newton @ modes.force_shape * omega
                 closure[j, self.one] = -self._gap_unit
-                push[speeds, j] = -closure[j, :n] * modes.omega_rad_s
+                push[speeds, j] = -closure[j, :n] * omega
         self.system = Switched(A, push, closure, compliance)
 
     def start(self) -> FloatArray:
@@ -99,7 +97,7 @@ class Assembly:
 
     def impact(self, X: FloatArray, touches: tuple[Touch, ...], samples: list[_Sample]) -> Impact:
         """Return the results of a run that ends in state X."""
-        omega = np.zeros(0) if self.modes is None else self.modes.omega_rad_s
+        omega = self.modes.omega_rad_s
         arms, vertical, contact = (
             np.array([sample[k] for sample in samples]).reshape(-1, width)
             for k, width in enumerate((3, 3, len(self.system.closure)))
@@ -108,16 +106,18 @@ class Assembly:
         structure = State(X[: self.n] * omega, X[self.n : 2 * self.n] * omega)
         return Impact(touches, arms, vertical, contact, body_speed, structure)
 
-    def elastic(self, X: FloatArray, contact_newtons: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the elastic force (3,) in the arms and in the vertical beam."""
-        if self.modes is None:
-            return np.zeros(3), np.zeros(3)
+    def sample(self, X: FloatArray, contact_newtons: FloatArray) -> _Sample:
+        """Return what a run keeps of one time."""
         z = X[: self.n] * self.modes.omega_rad_s
         arms, vertical = self.modes.force_shape @ z, self.modes.vertical_force_shape @ z
         if self.slit is not None:
             stops = contact_newtons[-len(self.slit.closure_per_newton) :]
             arms, vertical = arms + self.slit.arms_per_newton @ stops, vertical + self.slit.vertical_per_newton @ stops
-        return arms, vertical
+        return arms, vertical, contact_newtons
+
+
+_Sample = tuple[FloatArray, FloatArray, FloatArray]
+"""Elastic force (3,) in the arms and in the vertical beam, and the contact forces (n,)."""
 
 
 class Impact(NamedTuple):
@@ -147,18 +147,21 @@ def impact(
         raise InputError(f"until_s = {until_s!r}: allowed is a positive finite number")
     if not ((t >= 0.0) & (t <= until_s)).all() or (np.diff(t) < 0.0).any():
         raise InputError(f"times: allowed are rising numbers from 0 to until_s, {until_s!r}")
+    ground = RIGID_GROUND if modes is None else modes
     if striker.exponent != 1.0:
         if slit is not None:
             raise InputError("a Hertzian contact and a slit in one run: allowed is a linear contact with a slit")
         if modes is None and math.isinf(striker.mass_kg):
             raise InputError("a stop on rigid ground, where neither yields: allowed is a body of finite mass")
-        return _HertzRun(modes, striker, t, until_s).impact()
-    assembly = Assembly(modes, striker, slit)
+        return _HertzRun(ground, striker, t, until_s).impact()
+    if modes is None and slit is not None:
+        raise InputError("a slit on rigid ground: allowed with the modes of a structure only")
+    assembly = Assembly(ground, striker, slit)
     march, samples = March(assembly.system, assembly.start()), list[_Sample]()
     march.close(0)
     for time_s in t.tolist():
         march.advance(time_s)
-        samples.append(_sample(assembly, march))
+        samples.append(assembly.sample(march.state, march.forces_newtons))
     march.advance(until_s)
     return assembly.impact(march.state, march.finish(), samples)
 
@@ -175,21 +178,12 @@ def overload(modes: Modes, slit: SlitStop, times_s: npt.ArrayLike, loads_newtons
     march, samples = March(assembly.system, assembly.start(), float(t[0])), list[_Sample]()
     for k in range(len(t)):
         march.state[assembly.load : assembly.rate] = F[k]
-        samples.append(_sample(assembly, march))
+        samples.append(assembly.sample(march.state, march.forces_newtons))
         if k + 1 < len(t):
             march.state[assembly.rate : assembly.one] = (F[k + 1] - F[k]) / (t[k + 1] - t[k])
             march.disturbed()
             march.advance(float(t[k + 1]))
     return assembly.impact(march.state, march.finish(), samples)
-
-
-_Sample = tuple[FloatArray, FloatArray, FloatArray]
-"""Elastic force (3,) in the arms and in the vertical beam, and the contact forces (n,)."""
-
-
-def _sample(assembly: Assembly, march: March) -> _Sample:
-    forces = march.forces_newtons
-    return *assembly.elastic(march.state, forces), forces
 
 
 RELATIVE_TOLERANCE = 1e-13
@@ -200,8 +194,8 @@ _ABSOLUTE = 1e-16
 class _HertzRun:
     """A Hertzian contact. States as in Assembly, whose linear contact computes the free flight."""
 
-    def __init__(self, modes: Modes | None, striker: Striker, times_s: FloatArray, until_s: float) -> None:
-        along = np.zeros(0) if modes is None else modes.load_shape @ striker.direction
+    def __init__(self, modes: Modes, striker: Striker, times_s: FloatArray, until_s: float) -> None:
+        along = modes.load_shape @ striker.direction
         mass = 1.0 / (1.0 / striker.mass_kg + float(along @ along))
         self._stiffness, self._until_s, self._samples = striker.stiffness, until_s, times_s
         # On rigid ground the square of this is the largest overlap.
@@ -272,5 +266,5 @@ class _HertzRun:
         due = int(np.searchsorted(self._samples, end_s, side="right"))
         for time_s in self._samples[:due]:
             X = state_at(float(time_s))
-            self.rows.append((*self.assembly.elastic(X, np.zeros(1)), np.array([self._force(X)])))
+            self.rows.append(self.assembly.sample(X, np.array([self._force(X)])))
         self._samples = self._samples[due:]

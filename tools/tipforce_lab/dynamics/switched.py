@@ -19,8 +19,8 @@ import numpy as np
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.model import Modes, compliances
-from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.plane_frame import EULER_BERNOULLI, PAPER_SLIT_M, Frame
+from tipforce.sensor.structure.strain import Geometry
 
 _RADIANS_PER_STEP = 0.35
 _MOST_STEPS = 2_000_000

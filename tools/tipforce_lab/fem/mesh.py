@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray, IntArray
 from tipforce.errors import InputError
-from tipforce.sensor.structure.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.strain import FABRICATED, Geometry
 
 NEAR_M = 1e-3
 """Length of the blocks next to a corner of a beam: that of a gauge, so that gauges end on nodes of the mesh."""

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.sensor.structure.layouts import GAUGE_LENGTH_M
 from tipforce.sensor.structure.plane_frame import POISSON_RATIO
-from tipforce.sensor.structure.published import GAUGE_LENGTH_M
 from tipforce.sensor.structure.strain import Gauge, GaugePosition, gauge_name, place
 from tipforce_lab.fem.mesh import STATED, Outline, Resolution, triangulate
 

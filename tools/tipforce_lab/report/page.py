@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any
 from tipforce.output_file import HTML, JSON_LINES, save_figure, write_file
 from tipforce_lab import plotting as figures
 from tipforce_lab.report import text
-from tipforce_lab.report.run import Item, Report
-from tipforce_lab.report.study import Case, Grid, Study
+from tipforce_lab.report.study import Case, Grid, Item, Report, Study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

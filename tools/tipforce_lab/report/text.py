@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from tipforce_lab.report.run import Item, LeftOut, Report
-from tipforce_lab.report.study import Case, Grid, Need, Outcome, Study, sums_of
+from tipforce_lab.report.study import Case, Grid, Item, LeftOut, Need, Outcome, Report, Study, sums_of
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.sensor.dynamics.model import HIGHEST_DAMPING_RATIO, compliances, half_cylinder, modes
-from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.plane_frame import Frame
+from tipforce.sensor.structure.strain import FABRICATED, Geometry
 
 if TYPE_CHECKING:
     import mujoco

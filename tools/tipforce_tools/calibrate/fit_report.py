@@ -13,7 +13,7 @@ from tipforce.dictionary import indices
 from tipforce.host.configuration.calibration import RECORD, Calibration, write_calibration
 from tipforce.host.configuration.calibration_file import fit_table
 from tipforce.host.configuration.measurements import Measurements
-from tipforce.sensor.calibration.outliers import rejections
+from tipforce.sensor.calibration.fit import rejections
 from tipforce.sensor.calibration.result import Fit
 from tipforce.sensor.contact.redundancy import detectable_strain, parity
 from tipforce.sensor.contact.scalar_redundancy import LEAST_SHARE

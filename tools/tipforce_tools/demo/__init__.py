@@ -38,8 +38,7 @@ def run(args: argparse.Namespace) -> int:
         source = scene_source(file_or_shipped("hand", "scenes"), finger_maker())
         source.loops = True
         return serve_page(args, source, guard)
-    from tipforce.sensor.structure.layouts import CASES
-    from tipforce.sensor.structure.published import GROOVES_DEG
+    from tipforce.sensor.structure.layouts import CASES, GROOVES_DEG
     from tipforce_tools.demo.job import run_demo
 
     started_s = time.monotonic()

@@ -25,10 +25,8 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.network.bus import Bus
 from tipforce.sensor.contact import estimate as contact_model
 from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.layouts import CASES, layout_code
-from tipforce.sensor.structure.published import GROOVES_DEG
-from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.structure.layouts import CASES, GROOVES_DEG, layout_code
+from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix, strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 
 WEIGHT_NEWTONS = 4.4

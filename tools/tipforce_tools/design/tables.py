@@ -14,8 +14,7 @@ from tipforce.errors import InputError
 from tipforce_tools.cli import common, tables
 
 if TYPE_CHECKING:
-    from tipforce.sensor.structure.geometry import Geometry
-    from tipforce.sensor.structure.strain import GaugePosition
+    from tipforce.sensor.structure.strain import GaugePosition, Geometry
     from tipforce_lab.design.tables import Record, Section
 
 TABLES = ("1", "2", "3", "comparators", "fig6", "fig9", "off-axis", "materials", "scaling")
@@ -45,7 +44,7 @@ def add_table_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_table(args: argparse.Namespace) -> int:
     """Print the sections, each computed when it is printed, then draw; return 0."""
-    from tipforce.sensor.structure.geometry import FABRICATED
+    from tipforce.sensor.structure.strain import FABRICATED
     from tipforce_lab.design import other_bodies as bodies
     from tipforce_lab.design import sections
 

@@ -16,9 +16,8 @@ from websockets.exceptions import ConnectionClosed
 
 from tipforce.errors import InputError, RefusedError, TipforceError
 from tipforce.samples.reasons import NO_ANSWER
-from tipforce.sensor.structure.geometry import Geometry
-from tipforce.sensor.structure.published import GAUGE_LENGTH_M
-from tipforce.sensor.structure.strain import Gauge, GaugePosition, gauge_name, place, strain_row
+from tipforce.sensor.structure.layouts import GAUGE_LENGTH_M
+from tipforce.sensor.structure.strain import Gauge, GaugePosition, Geometry, gauge_name, place, strain_row
 from tipforce.watching.feeds import Finger
 from tipforce_tools.page.model import Charted, Model, Picture
 from tipforce_tools.page.sources import Source

@@ -38,7 +38,7 @@ class FitTable(msgspec.Struct):
     normal_matrix: list[list[float]] | None = None
     """N, the sum of G G^T with G = (F, 1), (4, 4) in newtons; (3, 3) for a fit without offset."""
     parameter_covariance_microstrain2: list[list[float]] | None = None
-    """(4 n, 4 n): gauge by gauge (A1, A2, A3, offset). Without it S and N give it."""
+    """(4 n, 4 n): gauge by gauge (A1, A2, A3, offset), of the record. Without it S and N give it."""
 
     def parameter_covariance(self, n: int) -> FloatArray:
         """Covariance of A and the offsets, (n, 4, n, 4), strain^2: what covariance_of_estimate() takes. Raises
@@ -81,12 +81,14 @@ def check_parameters(blocks: FloatArray) -> None:
 def fit_table(fit: Fit, angle_scatter_deg: float, **facts: object) -> dict[str, object]:
     """The table [fit]: how the matrix came about, and all that the covariance of an estimate needs. ``facts`` of the
     data: file, rows, lines with bad rows, outliers, readings at or too near to the converter's limit."""
+    from tipforce.sensor.calibration.result import to_digits
+
     side = 4 * len(fit.A)
     return {
         "dof": fit.dof,
         "residual_covariance_microstrain2": (fit.residual_covariance_strain2 * 1e12).tolist(),
         "normal_matrix": fit.N.tolist(),
-        "parameter_covariance_microstrain2": (fit.parameter_covariance * 1e12).reshape(side, side).tolist(),
+        "parameter_covariance_microstrain2": (to_digits(fit.record_covariances[1]) * 1e12).reshape(side, side).tolist(),
         "matrix_standard_uncertainty_newtons_per_strain": fit.C_uncertainty.tolist(),
         "coverage_factor": fit.coverage_factor,
         **({"sigma0": fit.sigma0} if np.isfinite(fit.sigma0) else {}),

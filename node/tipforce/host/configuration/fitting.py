@@ -17,9 +17,8 @@ from tipforce.sensor.calibration.data import require_degrees, require_no_rail, r
 from tipforce.sensor.calibration.fit import best_fit
 from tipforce.sensor.calibration.result import rounded, to_digits
 from tipforce.sensor.calibration.statistics import overload_newtons, redundancy_limit
-from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import CUSTOM_LAYOUT_CODE, layout_code
-from tipforce.sensor.structure.strain import Gauge, gauge_matrix, strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, Gauge, Geometry, gauge_matrix, strain_matrix
 from tipforce.sources.layout_file import read_layout
 
 ALLOWED_WITH_LAYOUT, ALLOWED_WITHOUT = 4.0, 30.0

@@ -26,7 +26,7 @@ from tipforce.host.configuration.measurements import LARGEST_ANGLE_DEG, LOAD_COL
 from tipforce.output_file import new_file
 from tipforce.sensor.calibration.regressors import FORCES, require_seen
 from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.structure.published import GROOVES_DEG
+from tipforce.sensor.structure.layouts import GROOVES_DEG
 
 if TYPE_CHECKING:
     from tipforce.host.configuration.capture import Capture

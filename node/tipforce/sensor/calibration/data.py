@@ -10,9 +10,8 @@ import numpy.typing as npt
 from tipforce.arrays import BoolArray, FloatArray, IntArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.regressors import DRIFTS
-from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import MAX_GAUGES, MIN_GAUGES
-from tipforce.sensor.structure.strain import Gauge, gauge_matrix
+from tipforce.sensor.structure.strain import Gauge, Geometry, gauge_matrix
 
 
 def require_no_rail(

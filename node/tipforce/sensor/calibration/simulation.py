@@ -8,10 +8,8 @@ import numpy.typing as npt
 from tipforce.arrays import BoolArray, FloatArray
 from tipforce.sensor.calibration.regressors import grooves
 from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.layouts import Layout
-from tipforce.sensor.structure.published import GROOVES_DEG
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.layouts import GROOVES_DEG, Layout
+from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
 
 
 @dataclass(frozen=True, slots=True, eq=False)

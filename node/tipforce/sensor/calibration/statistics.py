@@ -11,9 +11,9 @@ from tipforce.sensor.calibration.result import Fit, LoadResidual, Nonlinearity
 from tipforce.sensor.calibration.solve import Extra, Problem, Solution, extra
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.contact.redundancy import weighted_inverse
-from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.plane_frame import PAPER_SLIT_M, slit_closure, worst_stress
 from tipforce.sensor.structure.quality import condition_number, row_equilibrated_condition_number
+from tipforce.sensor.structure.strain import Geometry
 
 HOLD_OUT_CAP = 8.0
 """Squared distance per gauge beyond which a row counts no more against a model."""

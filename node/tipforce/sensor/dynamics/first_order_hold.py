@@ -136,16 +136,6 @@ def at_rest(modes: Modes) -> State:
     return State(np.zeros(len(modes.omega_rad_s)), np.zeros(len(modes.omega_rad_s)))
 
 
-def settled(modes: Modes, force_newtons: npt.ArrayLike) -> State:
-    """Return the equilibrium under a force (3,)."""
-    return State(modes.load_shape @ np.asarray(force_newtons, dtype=np.float64), np.zeros(len(modes.omega_rad_s)))
-
-
-def energy(modes: Modes, state: State) -> float:
-    """Return the energy of motion and of the bent beams in joules."""
-    return 0.5 * float(np.sum((state.position / modes.omega_rad_s) ** 2 + (state.velocity / modes.omega_rad_s) ** 2))
-
-
 def holds(modes: Modes, step_s: float) -> list[Hold]:
     """Return the coefficients of one step, one entry per mode. Raises InputError for a step out of range."""
     x = modes.omega_rad_s * step_s

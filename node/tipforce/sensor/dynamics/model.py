@@ -12,8 +12,8 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.plane_frame import Frame
+from tipforce.sensor.structure.strain import Geometry
 
 STEEL_DENSITY = 7850.0
 """kg/m3, assumed: the paper does not state it."""

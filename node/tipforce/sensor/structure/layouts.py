@@ -1,4 +1,4 @@
-"""Gauge layouts: the points of Table 1, the cases of Table 3, their mirrors, and custom sets."""
+"""The paper's gauge points, cases and calibration: Table 1, the layouts of Table 3, their mirrors, the grooves."""
 
 from collections.abc import Iterable, Sequence
 
@@ -58,3 +58,15 @@ def layout_code(name_or_points: Layout) -> int:
     """Return 1, 2, 3 for the cases I, II, III with SG1 to SG3 in their order, else 255. Raises as layout() does."""
     points = layout(name_or_points)
     return next((code for code, case in CASE_OF_CODE.items() if LAYOUTS[case] == points), CUSTOM_LAYOUT_CODE)
+
+
+_X_GROOVES_DEG = (5.0, 15.0, 30.0, 45.0, 60.0, 120.0, 135.0, 150.0, 165.0, 175.0)
+_Y_GROOVES_DEG = (30.0, 45.0, 60.0, 75.0, 90.0, 105.0, 120.0, 135.0, 150.0)
+GROOVES_DEG = (
+    *((0.0 if theta < 90.0 else 180.0, theta) for theta in _X_GROOVES_DEG),
+    *((90.0, theta) for theta in _Y_GROOVES_DEG),
+)
+"""Section 4.1: (phi, theta) of the 10 grooves along x and the 9 along y. The paper does not state their sense; a rope
+can only pull away from the tip: along x to +x (phi = 0) below theta = 90 degrees, else to -x (180), along y up."""
+CALIBRATION_WEIGHT_NEWTONS = 4.4
+GAUGE_LENGTH_M = 1e-3

@@ -12,10 +12,9 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray, floats
 from tipforce.errors import InputError
-from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import Layout, layout
 from tipforce.sensor.structure.plane_frame import POISSON_RATIO
-from tipforce.sensor.structure.strain import GaugePosition, nominal_position
+from tipforce.sensor.structure.strain import GaugePosition, Geometry, nominal_position
 
 
 class PlacedGauge(NamedTuple):

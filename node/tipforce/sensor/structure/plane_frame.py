@@ -13,10 +13,9 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import POINTS
 from tipforce.sensor.structure.quality import stress_coefficients
-from tipforce.sensor.structure.strain import Gauge, place
+from tipforce.sensor.structure.strain import Gauge, Geometry, place
 
 HALF_PLANE_ROTATION = 18.0 / math.pi
 """E b h^2 times the rotation of a root per moment, for a beam on an elastic half plane. A moment M enters as the linear

@@ -7,9 +7,8 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray, floats
 from tipforce.errors import InputError
-from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import MIRROR, POINTS, Layout, layout
-from tipforce.sensor.structure.strain import GaugePosition, nominal_position, place, strain_row, unit_stress
+from tipforce.sensor.structure.strain import GaugePosition, Geometry, nominal_position, place, strain_row, unit_stress
 
 
 def stress_coefficients(geometry: Geometry) -> dict[str, tuple[float, float, float]]:

@@ -1,7 +1,11 @@
-"""Force to strain: gauges at points of Table 1 or anywhere along the beams, and their matrices.
-Strain is linear along a beam without load: a gauge of finite length reads that at its middle."""
+"""The body (two thin beams in a T, a rigid half-cylinder tip, a rigid fixture), gauges at points of Table 1 or anywhere
+along its beams, and their strain per force: linear along a beam, so that a gauge reads the strain at its middle."""
 
+from __future__ import annotations
+
+import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -9,8 +13,51 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray, floats
 from tipforce.errors import InputError
-from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import MAX_GAUGES, MIN_GAUGES, POINTS, VERTICAL_POINTS, Layout, layout
+
+THIN_BEAM_RATIO = math.sqrt(8.0 / 3.0)
+"""h2 / h1 that makes the largest stresses of both beams equal for a = d = r (section 3.1: 1.633)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """One body, symbols of figure 2: the horizontal beam of 2 a carries the tip at its ends, the vertical beam joins
+    its middle to the fixture. Raises InputError, naming the field, unless positive and finite."""
+
+    a_m: float
+    """Half the length of the horizontal beam: from the joint to one outer end."""
+    d_m: float
+    """Length of the vertical beam."""
+    r_m: float
+    """Radius of the tip, whose centre is the middle of the horizontal beam."""
+    h1_m: float
+    """Thickness of the horizontal beam."""
+    h2_m: float
+    """Thickness of the vertical beam."""
+    width_m: float
+    """Width of both beams, normal to the plane of the forces."""
+    youngs_modulus_pascals: float
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            _check_positive(field.name, getattr(self, field.name))
+
+    def thin(self, h1_m: float) -> Geometry:
+        """Return the same body with h1_m and h2 = sqrt(8/3) h1 (section 3.1); h1_m -> 0 is the thin limit."""
+        _check_positive("h1_m", h1_m)
+        return replace(self, h1_m=h1_m, h2_m=THIN_BEAM_RATIO * h1_m)
+
+
+def _check_positive(name: str, value: object) -> None:
+    if isinstance(value, (int, float)) and not isinstance(value, bool) and 0.0 < value < math.inf:
+        return
+    raise InputError(f"geometry {name} = {value!r}: allowed is a positive finite number in SI units")
+
+
+FABRICATED = Geometry(
+    a_m=15e-3, d_m=15e-3, r_m=15e-3, h1_m=0.4e-3, h2_m=0.653e-3, width_m=10e-3, youngs_modulus_pascals=205e9
+)
+"""The body of section 4.2 (its "b" is d); Young's modulus is assumed, for steel AISI 4340."""
 
 Beam = Literal["H", "V"]
 Side = Literal["left", "right"]

@@ -6,9 +6,8 @@ from functools import partial
 import numpy as np
 
 from tipforce.arrays import FloatArray
-from tipforce.sensor.structure.layouts import CASES, LAYOUTS
+from tipforce.sensor.structure.layouts import CASES, GAUGE_LENGTH_M, LAYOUTS
 from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, EULER_BERNOULLI, TIMOSHENKO, Frame, FrameModel
-from tipforce.sensor.structure.published import GAUGE_LENGTH_M
 from tipforce.sensor.structure.quality import condition_number
 from tipforce.sensor.structure.strain import position_matrix, strain_matrix
 from tipforce_lab.fem import plane_stress as fem
