@@ -16,6 +16,7 @@ NODE_ID = 5
 COMMIT, OPEN, ZERO, TARA = 0x74696D63, 0x6E65706F, 0x6F72657A, 0x61726174
 SAVE, LOAD = 0x65766173, 0x64616F6C
 UNKNOWN = -0x8000
+HUSHED = (UNKNOWN,) * 3
 CONTACT, CALIBRATED, SATURATED, STALE, UNRESOLVED, MISSES, OUTSIDE, FAULT = (1 << bit for bit in range(8))
 PUSH = (1.0, 175.0, 10.0)  # P, phi, theta: within the friction cone of a push, theta in the middle of the pad
 PERIOD_US = 500

@@ -143,7 +143,7 @@ def _started(memory: MemoryStore) -> rig.Finger:
 def _uncalibrated(finger: rig.Finger) -> bool:
     codes = finger.emcy()
     found = finger.sync()
-    unknown = not found.status & scalar.CALIBRATED and found.contact == (rig.UNKNOWN,) * 3
+    unknown = not found.status & scalar.CALIBRATED and found.contact == rig.HUSHED
     return unknown and codes == [table.EMCY_CALIBRATION_INVALID] and finger.calibration()[1] == 0
 
 

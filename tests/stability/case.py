@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import FunctionType, ModuleType
-from typing import TypeAlias, cast
+from typing import Any, TypeAlias, cast
 
 from tipforce.errors import InputError
 from tipforce_lab.report.study import Outcome
@@ -52,11 +52,11 @@ def cases_of(area: ModuleType) -> list[Case]:
     return found
 
 
-def refusal(act: Callable[[], object]) -> str:
-    """Return the text of the InputError that an action raises; empty if it raises none."""
+def refusal(act: Callable[..., object], *arguments: Any, kind: type[Exception] = InputError, **named: Any) -> str:
+    """Return the text of the error of a kind that a call raises; empty if it raises none."""
     try:
-        act()
-    except InputError as error:
+        act(*arguments, **named)
+    except kind as error:
         return str(error)
     return ""
 

@@ -137,17 +137,11 @@ def impact_impossible() -> Observed:
     """mass or stiffness 0, negative or NaN; speed 0; time inf; samples out of order -> refused: InputError names the
     value"""
     wrong = [(0.0, 0.1, 1e6), (-1.0, 0.1, 1e6), (math.nan, 0.1, 1e6), (1.0, 0.0, 1e6), (1.0, math.inf, 1e6),
-             (1.0, 0.1, 0.0), (1.0, 0.1, math.nan), (1.0, 0.1, math.inf)]  # fmt: skip
-    said = [refusal(lambda values=values: Striker(*values)) for values in wrong]  # type: ignore[misc]
+             (1.0, 0.1, 0.0), (1.0, 0.1, math.nan), (1.0, 0.1, math.inf), (1.0, 0.1, 1e6, 1.2)]  # fmt: skip
+    said = [refusal(Striker, *values) for values in wrong]
     good = Striker(1.0, 0.1, 1e6)
-    said += [
-        refusal(lambda: Striker(1.0, 0.1, 1e6, 1.2)),
-        refusal(lambda: impact(None, good, math.inf)),
-        refusal(lambda: impact(None, good, 0.0)),
-        refusal(lambda: impact(None, good, 1e-3, [5e-4, 4e-4])),
-        refusal(lambda: impact(None, good, 1e-3, [2e-3])),
-        refusal(lambda: impact(None, good, 1e-3, [math.nan])),
-    ]
+    said += [refusal(impact, None, good, time_s) for time_s in (math.inf, 0.0)]
+    said += [refusal(impact, None, good, 1e-3, times) for times in ([5e-4, 4e-4], [2e-3], [math.nan])]
     return all("allowed" in text for text in said), f"{sum(map(bool, said))} of {len(said)} refused: {said[0]}"
 
 

@@ -192,7 +192,7 @@ def wire_same_cob_id() -> Observed:
         finger.step([(_GAUGES_COB_ID, bytes(8))])
     codes, decoder, mapped = finger.emcy(), decode.Decoder(), [(indices.PROCESS_VALUE + table.INT16_FORM, 7, 16)]
     decoder.remap(5, "Contact", _FREE_COB_ID, mapped)
-    said = refusal(lambda: decoder.remap(6, "Contact", _FREE_COB_ID, mapped))
+    said = refusal(decoder.remap, 6, "Contact", _FREE_COB_ID, mapped)
     held = codes == [emcy.COB_ID_COLLISION] and "already assigned to Contact of node 5" in said
     return held, f"EMCY {codes[0]:04X}h; {said}"
 
