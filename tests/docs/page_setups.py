@@ -24,6 +24,8 @@ from canopen_device.running import loop
 from canopen_device.running.open_bus import PythonCanPort
 from canopen_device.running.store import FileStore
 from docs.runner import Terminal
+from fingertip.finger import forces
+from host.bus_with_nodes import beam_calibration
 from sources.iio_tree import Tree
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration, write_calibration
@@ -31,7 +33,7 @@ from tipforce.sensor import Readings
 from tipforce.sensor.calibration.simulation import simulate
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources import iio_sysfs
 from tipforce.sources.iio_gauges import Capture, open_iio
 from tipforce.sources.layout_file import read_bridge
@@ -185,8 +187,7 @@ def simulated_calibration() -> Iterator[Names]:
 
 def beam_record(noise_strain: float, serial: int) -> Calibration:
     """Gauge case I as beam theory has it."""
-    C, covariance = calibration_matrix(FABRICATED, "I"), np.eye(3) * noise_strain**2
-    return Calibration(C, np.zeros(3), covariance, serial=serial, date=20261121, layout_code=1, pull=True)
+    return beam_calibration(covariance_strain2=np.eye(3) * noise_strain**2, serial=serial, date=20261121)
 
 
 class Bench:
@@ -210,9 +211,7 @@ class Bench:
 
     def hang(self, P_newtons: float, phi_deg: float, theta_deg: float) -> None:
         """Put a load on the tip."""
-        phi, delta = math.radians(phi_deg), math.radians(phi_deg - theta_deg)
-        F = [P_newtons * math.sin(phi), P_newtons * math.sin(delta), P_newtons * math.cos(phi)]
-        self.gauges_read((1e6 * strain_matrix(FABRICATED, "I") @ F).tolist())
+        self.gauges_read((1e6 * strain_matrix(FABRICATED, "I") @ forces((P_newtons, phi_deg, theta_deg))).tolist())
 
     def start_node(self) -> None:
         """`tipforce node` with finger.toml, in a thread."""

@@ -3,11 +3,11 @@
 import binascii
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 from canopen_device.core.node import Device
-from canopen_device.testing import Conversation
+from canopen_device.testing import Conversation, Frame
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.source import Source
 from tipforce.sources.simulated import SimulatedSource
@@ -76,6 +76,14 @@ class Pdos(NamedTuple):
     counter: int
 
 
+def pdos_of(frames: Iterable[Frame]) -> Pdos:
+    """What a node's TPDO1 and TPDO2 among frames carry; both must have the same status and counter."""
+    found = dict(frames)
+    one, two = (struct.unpack("<hhhBB", found[can_id]) for can_id in _PDOS)
+    assert one[3:] == two[3:]
+    return Pdos(one[:3], two[:3], one[3], one[4])
+
+
 class Finger(Conversation):
     """A conversation with a fingertip in OPERATIONAL that sends no heartbeat."""
 
@@ -93,13 +101,11 @@ class Finger(Conversation):
         return dict(self.take())
 
     def sync(self, after_us: int = 1000) -> Pdos:
-        """A SYNC after some time; both TPDOs must carry the same status and counter."""
+        """What a SYNC after some time brings in TPDO1 and TPDO2."""
         self.now_us += after_us
-        sent = dict(self.step([(0x80, b"")]))
+        sent = self.step([(0x80, b"")])
         self.sent = [frame for frame in self.sent if frame[0] not in _PDOS]
-        one, two = (struct.unpack("<hhhBB", sent[can_id]) for can_id in _PDOS)
-        assert one[3:] == two[3:]
-        return Pdos(one[:3], two[:3], one[3], one[4])
+        return pdos_of(sent)
 
     def emcy(self) -> list[int]:
         """The codes of the EMCY messages since the last call, of a conversation that shows them."""
