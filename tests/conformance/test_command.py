@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import can
 import pytest
 from bench.documents import case_counts, filled
 
@@ -16,9 +15,8 @@ from canopen_conformance.case import Case, CheckError, LostDeviceError, clause_k
 from canopen_conformance.dut import Dut
 from canopen_conformance.run import FAIL, PASS, Result, lines, run_case, run_on, summary
 from canopen_conformance.wire import CoreLink
-from canopen_device.running import loop
-from canopen_device.running.open_bus import PythonCanPort
 from conformance.fingertip import all_cases, core_node, matching, run_in_process
+from host.bus_with_nodes import running
 from tipforce_tools.cli.main import main
 
 CHANNEL = "conformance"
@@ -30,7 +28,7 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "conformance.md"
 @pytest.fixture
 def node() -> Iterator[None]:
     """Node 5 on a virtual bus, in a thread."""
-    with can.Bus(interface="virtual", channel=CHANNEL) as bus, loop.running([core_node()], PythonCanPort(bus)):
+    with running([core_node()], CHANNEL):
         yield
 
 

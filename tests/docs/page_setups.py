@@ -11,7 +11,7 @@ import struct
 import threading
 import time
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ import tipforce
 from canopen_device.running import loop
 from canopen_device.running.open_bus import PythonCanPort
 from canopen_device.running.store import FileStore
+from canopen_device.testing import Conversation, MemoryStore, text
 from docs.runner import Terminal
 from fingertip.finger import forces
 from host.bus_with_nodes import beam_calibration
@@ -65,15 +66,22 @@ def logs_of_fingers() -> Iterator[Names]:
     yield {}
 
 
+def pdos(t_s: float, node: int, counter: int, status: int, **values: Sequence[int]) -> list[str]:
+    """Lines of candump with a finger's ``gauges`` and ``contact``, those that are given."""
+    bases = {"gauges": 0x180, "contact": 0x280}
+    data = {bases[name] + node: struct.pack("<hhhBB", *each, status, counter % 256) for name, each in values.items()}
+    return [f"({t_s:.6f}) can0 {can_id:03X}#{each.hex().upper()}" for can_id, each in data.items()]
+
+
 def write_log_of_one_finger() -> None:
     """Node 5 at 100 Hz for 1 s: 1.5 N until 0.6 s, then no contact; samples 40 to 42 are missing, heartbeats twice."""
     lines = [f"({1_700_000_000 + t:.6f}) can0 705#05" for t in (0.001, 0.501)]
     for k in range(100):
         t = 1_700_000_000 + k / 100
-        contact = (1500, 9000, 4500, 0x03) if k < 60 else (5, -32768, -32768, 0x12)
+        status, contact = (0x03, (1500, 9000, 4500)) if k < 60 else (0x12, (5, -32768, -32768))
         lines.append(f"({t:.6f}) can0 080#")
         if not 40 <= k < 43:
-            lines.append(f"({t + 0.0002:.6f}) can0 285#{struct.pack('<hhhBB', *contact, k).hex().upper()}")
+            lines += pdos(t + 0.0002, 5, k, status, contact=contact)
     Path("run.log").write_text("\n".join(sorted(lines)) + "\n")
 
 
@@ -88,11 +96,10 @@ def write_two_days_of_two_fingers() -> None:
                 touched = k % 100 < 20 * node
                 if (day, node) == (1, 2) and k in (50, 51):
                     continue
-                contact = (1000 * node + k, 9000, 4500, 0x03) if touched else (0, -32768, -32768, 0x02)
-                gauges = (300 * node if touched else 20 * day * node, 10, -10, contact[3])
-                for base, words in ((0x180, gauges), (0x280, contact)):
-                    data = struct.pack("<hhhBB", *words, (k + 300 * day) % 256).hex().upper()
-                    lines.append(f"({t + 0.0001 * node:.6f}) can0 {base + node:03X}#{data}")
+                contact = (1000 * node + k, 9000, 4500) if touched else (0, -32768, -32768)
+                gauges = (300 * node if touched else 20 * day * node, 10, -10)
+                status = 0x03 if touched else 0x02
+                lines += pdos(t + 0.0001 * node, node, k + 300 * day, status, gauges=gauges, contact=contact)
         lines.append(f"({t + 1:.6f}) can0 702#00")
         Path(f"day-{day + 1}.log").write_text("\n".join(lines) + "\n")
 
@@ -263,32 +270,25 @@ class ByteByByte:
     def __init__(self) -> None:
         self.source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist())
         self.source.load = (4.4, 90.0, 45.0)
-        flash: dict[str, bytes] = {}
-        self.device = fingertip_node(
-            5, self.source, save=lambda group, data: not flash.update({group: data}), load=flash.get
-        )
-        self.now_us = 0
+        flash = MemoryStore()
+        self.talk = Conversation(fingertip_node(5, self.source, save=flash.save, load=flash.load), emcy=True)
         self.record = beam_record(0.5e-6, serial=7).record()
 
     def __call__(self, line: str) -> None:
         """Run one line of the page."""
-        frames = []
         if line != "# power on":
-            program, channel, frame = line.split()
-            assert (program, channel) == ("cansend", "can0")
-            identifier, digits = frame.split("#")
-            frames = [(int(identifier, 16), bytes.fromhex(digits))]
-            self.now_us += 1000
-        for can_id, data in self.device.step(self.now_us, frames)[0]:
-            print(f"{can_id:03X}#{data.hex().upper()}")
+            assert line.startswith("cansend can0 ")
+            self.talk.now_us += 1000
+            self.talk.send(line.split()[2])
+        for frame in self.talk.take():
+            print(text(frame))
 
     def send_segments(self, first: int, end: int) -> None:
         """The segments of the record that the page leaves out; each must be confirmed."""
         for k in range(first, end):
-            segment = bytes([(k % 2) << 4]) + self.record[7 * k : 7 * k + 7]
-            assert self.device.step(self.now_us, [(0x605, segment)])[0] == [
-                (0x585, bytes([0x20 | (k % 2) << 4] + [0] * 7))
-            ]
+            toggle, segment = (k % 2) << 4, self.record[7 * k : 7 * k + 7]
+            self.talk.step([(0x605, bytes((toggle,)) + segment)])
+            assert self.talk.take() == [(0x585, bytes((0x20 | toggle,)) + bytes(7))]
 
 
 @setup("protocol.md")

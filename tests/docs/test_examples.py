@@ -9,15 +9,14 @@ import os
 import re
 import shlex
 import shutil
-import struct
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from docs.page_setups import SETUPS, beam_record
-from docs.runner import Terminal, check_command, command_lines, examples, run_page
+from docs.page_setups import SETUPS, beam_record, pdos
+from docs.runner import Terminal, check_command, command_lines, examples, run_page, shell_lines
 from tipforce.host.configuration.calibration import write_calibration
 from tools.rig import in_namespace
 
@@ -86,7 +85,6 @@ def test_a_wrong_output_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert "beta" in report.getvalue()
 
 
-_BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 PIPED = "candump -L can0 | tipforce "
 """candump is a script here that prints run.log."""
 NEEDS = {
@@ -100,12 +98,6 @@ NEEDS = {
 """Why a line is not run here. tests/vcan and tests/docs/test_python_page.py run some of them."""
 
 
-def lines_of(page: Path) -> list[str]:
-    """The lines of the page's shell blocks, without comments."""
-    blocks = [body for info, body in _BLOCK.findall(page.read_text(encoding="utf-8")) if info.split()[:1] == ["sh"]]
-    return [re.split(r" +# ", f"{line} # ")[0] for block in blocks for line in block.splitlines()]
-
-
 def is_run(line: str) -> bool:
     return line.startswith(PIPED) or not any(re.search(pattern, line) for pattern in NEEDS.values())
 
@@ -113,7 +105,7 @@ def is_run(line: str) -> bool:
 PAGES = {
     page.name: lines
     for page in sorted((ROOT / "docs").glob("*.md"))
-    if page.name != "ci.md" and (lines := list(filter(is_run, lines_of(page))))
+    if page.name != "ci.md" and (lines := list(filter(is_run, shell_lines(page.read_text(encoding="utf-8")))))
 }
 
 
@@ -126,10 +118,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
         t = 1_700_000_000 + k / 20
         lines.append(f"({t:.6f}) can0 080#")
         for node in (1, 5):
-            gauges = struct.pack("<hhhBB", -1250 + k % 7, 7287 - k % 5, 3236 + k % 3, 3, k % 256)
-            contact = struct.pack("<hhhBB", 4400 + k % 9, 9000, 4500, 3, k % 256)
-            lines += [f"({t + 0.0002:.6f}) can0 {can_id + node:03X}#{data.hex().upper()}"
-                      for can_id, data in ((0x180, gauges), (0x280, contact))]  # fmt: skip
+            gauges = -1250 + k % 7, 7287 - k % 5, 3236 + k % 3
+            lines += pdos(t + 0.0002, node, k, 3, gauges=gauges, contact=(4400 + k % 9, 9000, 4500))
     text = "\n".join(lines) + "\n"
     (folder / "logs").mkdir()
     for name in ("run.log", "thumb.log"):
@@ -178,7 +168,7 @@ def test_each_kind_of_line_is_run_somewhere() -> None:
 def test_the_bus_over_udp_is_pasted(tmp_path: Path) -> None:
     """With the route that the page names, in a network namespace with loopback only."""
     page = (ROOT / "docs" / "ci.md").read_text(encoding="utf-8")
-    block = _BLOCK.findall(page[page.index("## A bus without kernel CAN") :])[0][1]
+    block = page[page.index("## A bus without kernel CAN") :].split("```sh\n")[1].split("```")[0]
     route = re.search(r"`sudo (ip link set lo up) && sudo (ip route add [^`]*)`", page)
     assert route is not None
     pasted = "\n".join([*route.groups(), block, "tipforce sdo read 5 simulation.P", "kill %1", "wait"])

@@ -12,7 +12,7 @@ import pytest
 
 from canopen_conformance.case import Case
 from canopen_conformance.run import FAIL
-from canopen_device.testing import Conversation, Frame, parse
+from canopen_device.testing import Conversation, Frame, MemoryStore, parse
 from conformance.fingertip import SERIAL, run_in_process
 from microcontroller import rig
 from micropython import recording, scripts
@@ -74,12 +74,10 @@ class RecordedFirmware:
         self.rig = rig.Rig(json.loads(json.dumps(header)))
         self.pending: list[str] = []  # what happens at the next step besides frames
         firmware = self.rig.firmware
-        self._groups = {name: bytes.fromhex(content) for name, content in (groups or {}).items()}
+        self._store = MemoryStore()
+        self._store.groups |= {name: bytes.fromhex(content) for name, content in (groups or {}).items()}
         # Readings pass through the tap in the order in which the two devices ask: both are built first.
-        self._plain = fingertip_node(
-            node_id, _Tap(firmware.gauges), n, serial,
-            lambda name, data: self._groups.update({name: data}) is None, self._groups.get,
-        )  # fmt: skip
+        self._plain = fingertip_node(node_id, _Tap(firmware.gauges), n, serial, self._store.save, self._store.load)
         self._plain.lss.bit_rate = rig.BIT_RATE
         self._came: list[Frame] = []
         receive = firmware.port.receive
@@ -121,10 +119,10 @@ class RecordedFirmware:
         self._plain.requests.clear()
         if now_us >= self.rig.firmware._mute_until_us:
             assert sent == [(can_id, bytes(data)) for can_id, data in said], self.recording.steps[-1]
-        assert {name: self.rig.store.load(name) for name in self._groups} == self._groups
+        assert {name: self.rig.store.load(name) for name in self._store.groups} == self._store.groups
 
     def stored(self) -> dict[str, str]:
-        return {name: content.hex() for name, content in self._groups.items()}
+        return {name: content.hex() for name, content in self._store.groups.items()}
 
 
 def firmware_talk(adc: str, can: str) -> type[Talk]:
