@@ -24,8 +24,8 @@ from tipforce.fingertip.sample import Sample
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.configuration_file import read_configuration
 from tipforce.sensor.contact import scalar, scalar_redundancy
+from tipforce_tools.cli.main import main
 from tipforce_tools.export import c_files
-from tools.rig import called
 
 Libraries = Callable[[int, str], Library]
 CALIBRATED, UNKNOWN_FORCE = 0x02, 1
@@ -147,21 +147,24 @@ def test_float_and_double_differ_only_in_a_band_around_a_limit(library: Librarie
 
 
 def test_export_c(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    code, out, err = called(capsys, "export", "c", "--gauges", 4, "--bits", 24, "-o", tmp_path / "made" / "here")
-    assert (code, out) == (0, "")
-    written = {path.name: path.read_text() for path in (tmp_path / "made/here").iterdir()}
-    assert written == c_files(4, CONVERTER_24)
+    folder = tmp_path / "made" / "here"
+    assert main(["export", "c", "--gauges", "4", "--bits", "24", "-o", str(folder)]) == 0
+    out, err = capsys.readouterr()
+    written = {path.name: path.read_text() for path in folder.iterdir()}
+    assert (out, written) == ("", c_files(4, CONVERTER_24))
     assert "#define TIPFORCE_GAUGES 4" in written["tipforce_od.h"]
     assert len(err.splitlines()) == len(written)
 
 
 def test_export_dcf(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert called(capsys, "export", "dcf", "--node-id", "0x0A") == (0, dcf_text(3, 10, {}), "")
-    settings, dcf = tmp_path / "settings.toml", tmp_path / "node.dcf"
+    export, settings, dcf = ["export", "dcf", "--node-id"], tmp_path / "settings.toml", tmp_path / "node.dcf"
+    assert main([*export, "0x0A"]) == 0
+    assert capsys.readouterr() == (dcf_text(3, 10, {}), "")
     settings.write_text(SETTINGS)
-    assert called(capsys, "export", "dcf", "--node-id", 5, "--settings", settings, "-o", dcf).code == 0
+    assert main([*export, "5", "--settings", str(settings), "-o", str(dcf)]) == 0
     assert read_configuration(dcf, 5) == read_configuration(settings, 5)
-    assert called(capsys, "export", "dcf", "--node-id", 5, "--settings", dcf).out == dcf.read_text()
+    assert main([*export, "5", "--settings", str(dcf)]) == 0
+    assert capsys.readouterr().out == dcf.read_text()
 
 
 # What its reader (libEDSsharp, CanOpenEDS.cs) does with a file, where that can make it refuse, warn or lose something.
