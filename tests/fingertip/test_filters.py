@@ -30,11 +30,6 @@ def filtered(kind: int, constant: int, **options: object) -> rig.Finger:
     return talk
 
 
-def ramp(talk: rig.Finger) -> None:
-    """F1 in newtons is the number of the conversion since a second, divided by 100: gauge 1 in mN is 10 of it."""
-    talk.source.forces = lambda now_us: ((now_us - 1_000_000) / 500 / 100, 0.0, 0.0)
-
-
 def outputs(kind: int, constant: int, counts: list[int]) -> list[float]:
     """What a filter of three gauges gives after each conversion; the gauges see c, -c and 3 c."""
     algorithm = filters.algorithm(kind, 3, constant)
@@ -91,7 +86,8 @@ def test_type_none_and_a_constant_of_one_have_no_filter_and_load_none() -> None:
 def test_every_conversion_goes_in_whenever_the_node_is_stepped(step_us: int) -> None:
     """The filter does not hang on the loop: conversions that it came too late for are made up for."""
     talk = filtered(MOVING, 8, calibrated=False)
-    ramp(talk)
+    # Gauge 1 is in mN ten times the number of the conversion since a second.
+    talk.source.forces = lambda now_us: ((now_us - 1_000_000) / 500 / 100, 0.0, 0.0)
     talk.now_us = 1_000_000
     while talk.now_us < 1_040_000:
         talk.now_us = min(talk.now_us + step_us, 1_040_000) if step_us > 1 else max(talk.due_us, talk.now_us + 1)

@@ -273,9 +273,9 @@ def test_calibration_survives_sigkill_at_any_instant(tmp_path: Path) -> None:
 
     def series(worker: int) -> list[tuple[int, int]]:
         path, first, seen = tmp_path / f"node-{worker}.json", 1, []
-        # -I -S: a start without site packages is faster; the path of the package is handed over.
-        package_root = str(Path(str(sys.modules["tipforce"].__file__)).parents[1])
-        run = f"import sys, runpy; sys.path.insert(0, {package_root!r}); runpy.run_path({CHILD!r}, run_name='__main__')"
+        # -I -S: a start without site packages is faster; the paths of the package and of the tests are handed over.
+        roots = [str(Path(str(sys.modules[name].__file__)).parents[1]) for name in ("tipforce", "fingertip.finger")]
+        run = f"import sys, runpy; sys.path[:0] = {roots!r}; runpy.run_path({CHILD!r}, run_name='__main__')"
         command = [sys.executable, "-I", "-S", "-c", run, str(path)]
         with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as parent:
             for wait_us in waits[worker]:
