@@ -93,19 +93,17 @@ class RawBus:
         self.send(SDO_REQUEST + node_id, bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0)))
         return self.until(lambda frame: frame[0] == SDO_ANSWER + node_id)[:-1]
 
+    def start_node(self) -> None:
+        """Operational, with a heartbeat every 20 ms (1017h): a clock of its own, and it soon notices a lost bus."""
+        self.send(SDO_REQUEST + NODE_ID, b"\x2b\x17\x10\0\x14\0\0\0")
+        self.until(lambda frame: frame[0] == SDO_ANSWER + NODE_ID)
+        self.send(NMT, bytes((1, NODE_ID)))
+        self.until(lambda frame: frame == OPERATIONAL_BEAT)
 
-def start_with_fast_heartbeats(bus: RawBus) -> None:
-    """Operational, with a heartbeat every 20 ms (1017h): a clock of the node's own, and it soon notices a lost bus."""
-    bus.send(SDO_REQUEST + NODE_ID, b"\x2b\x17\x10\0\x14\0\0\0")
-    bus.until(lambda frame: frame[0] == SDO_ANSWER + NODE_ID)
-    bus.send(NMT, bytes((1, NODE_ID)))
-    bus.until(lambda frame: frame == OPERATIONAL_BEAT)
-
-
-def answers_a_sync(bus: RawBus) -> bool:
-    """Does the node send its PDOs to a SYNC?"""
-    bus.send(SYNC)
-    return {0x180 + NODE_ID, 0x280 + NODE_ID} <= {can_id for can_id, _ in bus.answers()}
+    def answers_a_sync(self) -> bool:
+        """Does the node send its PDOs to a SYNC?"""
+        self.send(SYNC)
+        return {0x180 + NODE_ID, 0x280 + NODE_ID} <= {can_id for can_id, _ in self.answers()}
 
 
 def is_boot_up(node_id: int) -> Callable[[Frame], bool]:
@@ -205,8 +203,8 @@ def running_node(folder: Path, *flags: str, node_id: int = NODE_ID, channel: str
         command.close()
 
 
-def ip_link(*words: str) -> None:
-    subprocess.run(["ip", "link", *words], check=True, capture_output=True, timeout=WAIT_S)
+def ip_link(*words: str, check: bool = True) -> None:
+    subprocess.run(["ip", "link", *words], check=check, capture_output=True, timeout=WAIT_S)
 
 
 def wait_until(condition: Callable[[], bool], what: str, again: Callable[[], object] = lambda: None) -> None:

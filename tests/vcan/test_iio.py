@@ -22,8 +22,8 @@ from tipforce.host.network.bus import Bus
 from tipforce.sensor.contact import scalar_uncertainty
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
-from vcan.adc import ADDRESSES, COUNTS, Adcs, in_user_mode_linux, load_modules
-from vcan.support import NODE_ID, SYNC, Command, Frame, RawBus, running_node, start_with_fast_heartbeats
+from vcan.adc import ADDRESSES, COUNTS, Adcs, load_modules
+from vcan.support import NODE_ID, SYNC, Command, Frame, RawBus, running_node
 
 LAYOUT = """\
 points = ["K_H", "S_H", "U"]
@@ -97,9 +97,7 @@ def tells(frames: list[Frame], code: int, cured: bool, detail: int) -> bool:
 
 
 @pytest.fixture(scope="module")
-def adcs() -> Iterator[Adcs]:
-    if not in_user_mode_linux():
-        pytest.skip("loads kernel modules: only on a kernel of its own, `tipforce vcan --uml -- ...`")
+def adcs(own_kernel: None) -> Iterator[Adcs]:  # noqa: ARG001 (it must be one)
     load_modules()
     found = Adcs()
     yield found
@@ -128,7 +126,7 @@ def flags(folder: Path, devices: str) -> tuple[str, ...]:
 @pytest.fixture
 def rig(adcs: Adcs, iio_node: Command, bus: RawBus) -> Rig:
     assert iio_node.stdout == ""
-    start_with_fast_heartbeats(bus)
+    bus.start_node()
     return Rig(adcs, bus)
 
 
