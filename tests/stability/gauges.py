@@ -101,15 +101,18 @@ def gauge_silent() -> Observed:
     """the converter delivers no more samples -> flagged: the first SYNC has bit 3 and all unknown; after 100 ms bit 7,
     2124h bit 8, EMCY 5030h"""
     finger = rig.finger(load=rig.PUSH, emcy=True)
-    finger.sync()
+    counter = finger.sync().counter
     finger.break_gauge(simulated.SILENT)
-    first = finger.sync()
-    for _ in range(120):
-        last = finger.sync()
+    found = [finger.sync() for _ in range(121)]  # one each millisecond
+    first, last = found[0], found[-1]
     faults, codes = int(finger.get("H", indices.FAULTS)), finger.emcy()
-    held = bool(first.status & scalar.STALE) and first.contact == first.gauges == last.contact == rig.HUSHED
-    held &= bool(last.status & scalar.FRONT_END_FAULT) and faults == 1 << table.FAULT_NO_DATA
-    held &= codes == [table.EMCY_FRONT_END]
+    stale = scalar.CALIBRATED | scalar.STALE
+    held = [one.status for one in found] == [stale] * 100 + [stale | scalar.FRONT_END_FAULT] * 21
+    held &= {one.counter for one in found} == {counter} and faults == 1 << table.FAULT_NO_DATA
+    held &= first.contact == first.gauges == last.contact == rig.HUSHED and codes == [table.EMCY_FRONT_END]
+    finger.break_gauge(0)
+    again = finger.sync()
+    held &= again.contact[0] == 1000 and again.counter == counter + 1 and finger.get("H", indices.FAULTS) == 0
     return held, f"status {first.status:02X}h at once, {last.status:02X}h after 121 ms, 2124h {faults:04X}h"
 
 
