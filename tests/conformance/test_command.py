@@ -131,15 +131,12 @@ def test_clauses_are_ordered_by_their_numbers() -> None:
     assert sorted(clauses, key=clause_key)[:2] == ["CiA 301 7.2.4.3.9", "CiA 301 7.2.4.3.13"]
 
 
-def test_silence_finds_what_came_before_too() -> None:
+def test_silence_finds_what_came_before_too_and_a_time_out_names_what_was_expected() -> None:
     dut = Dut(CoreLink(core_node()), 5)
     dut.send(0x605, "40 00 10 00 00 00 00 00")
     with pytest.raises(CheckError, match="expected silence; got 585#43"):
         dut.silence()
 
-
-def test_time_out_names_what_was_expected() -> None:
-    dut = Dut(CoreLink(core_node()), 5)
     with pytest.raises(CheckError, match="a frame 185h 01 within 50 ms; got none"):
         dut.expect(0x185, "01", 50)
 
