@@ -71,6 +71,11 @@ class RecordedDevice:
         return {name: content.hex() for name, content in self._store.groups.items()}
 
 
+def all_steps(recording: Recording) -> list[str]:
+    """Calls that hold a conversation which MicroPython has as ``replay``."""
+    return [f"replay.go({min(left, STEPS_PER_CALL)})" for left in range(len(recording.steps), 0, -STEPS_PER_CALL)]
+
+
 def replay(
     recordings: Sequence[Recording], files: dict[str, bytes], replayer: str = "from on_node import Replay"
 ) -> list[list[str]]:
@@ -79,10 +84,7 @@ def replay(
     calls = [replayer]
     for number, recording in enumerate(recordings):
         told[f"/recording{number}"] = recording.text().encode()
-        calls.append(f"replay = Replay('/recording{number}')")
-        for left in range(len(recording.steps), 0, -STEPS_PER_CALL):
-            calls.append(f"replay.go({min(left, STEPS_PER_CALL)})")
-        calls.append("replay.end()")
+        calls += [f"replay = Replay('/recording{number}')", *all_steps(recording), "replay.end()"]
     lines = iter(engine.run(told, calls))
     return [[next(lines) for _ in range(len(recording.steps) + 1)] for recording in recordings]
 
