@@ -134,7 +134,10 @@ def filter_silence() -> Observed:
     finger.break_gauge(SILENT)
     found = [finger.sync() for _ in range(150)]
     held = good.contact[0] == 1000 and all(one.contact == one.gauges == rig.HUSHED for one in found)
-    held &= all(one.status & scalar.STALE for one in found) and bool(found[-1].status & scalar.FRONT_END_FAULT)
+    held &= all(one.status & scalar.STALE for one in found) and not found[0].status & scalar.FRONT_END_FAULT
+    finger.break_gauge(0)
+    finger.source.load = (0.0, 0.0, 0.0)
+    held &= bool(found[-1].status & scalar.FRONT_END_FAULT) and finger.sync().gauges == (0, 0, 0)
     return held, f"150 SYNCs unknown, status {found[0].status:02X}h, then {found[-1].status:02X}h"
 
 
