@@ -18,6 +18,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+from bench.measure import background
 
 import tipforce
 from canopen_device.running import loop
@@ -40,6 +41,7 @@ from tipforce.sources.iio_gauges import Capture, open_iio
 from tipforce.sources.layout_file import read_bridge
 from tipforce.sources.simulated import SimulatedSource
 from tipforce_tools.doctor import machine
+from tools.rig import message as can_message
 from tools.rig import write_readings
 
 Names = dict[str, Any]
@@ -121,57 +123,41 @@ def fingers_on_default_bus(*node_ids: int) -> Iterator[None]:
         yield
 
 
-class SerialAdapter:
-    """A USB adapter with the slcan protocol (Lawicel): a pseudo-terminal on one side, a bus on the other."""
+@contextlib.contextmanager
+def serial_adapter(bus: can.BusABC) -> Iterator[str]:
+    """A USB adapter with the slcan protocol (Lawicel) on a bus: the path of its pseudo-terminal."""
+    master, terminal = pty.openpty()
+    tty.setraw(terminal)
 
-    def __init__(self, bus: can.BusABC) -> None:
-        self.bus = bus
-        self.master, self.terminal = pty.openpty()
-        tty.setraw(self.terminal)
-        self.path = os.ttyname(self.terminal)
-        self.is_open = False
-        self.stopped = threading.Event()
-        self.thread = threading.Thread(target=self._work)
-        self.thread.start()
-
-    def _work(self) -> None:
-        received = b""
-        while not self.stopped.is_set():
-            if select.select([self.master], [], [], 0.001)[0]:
-                *commands, received = (received + os.read(self.master, 4096)).split(b"\r")
-                for command in commands:
-                    self._command(command.decode())
-            while (message := self.bus.recv(0)) is not None:
-                if self.is_open:
+    def work(stop: threading.Event) -> None:
+        received, is_open = b"", False
+        while not stop.is_set():
+            if select.select([master], [], [], 0.001)[0]:
+                *commands, received = (received + os.read(master, 4096)).split(b"\r")
+                for command in map(bytes.decode, commands):
+                    if command[:1] in ("O", "C"):
+                        is_open = command == "O"
+                    elif command[:1] == "t":
+                        bus.send(can_message(int(command[1:4], 16), bytes.fromhex(command[5:])))
+            while (message := bus.recv(0)) is not None:
+                if is_open:
                     line = f"t{message.arbitration_id:03X}{message.dlc}{message.data.hex().upper()}\r"
-                    os.write(self.master, line.encode())
+                    os.write(master, line.encode())
 
-    def _command(self, command: str) -> None:
-        if command[:1] in ("O", "C"):
-            self.is_open = command == "O"
-        elif command[:1] == "t":
-            data = bytes.fromhex(command[5:])
-            self.bus.send(can.Message(arbitration_id=int(command[1:4], 16), data=data, is_extended_id=False))
-
-    def close(self) -> None:
-        """End it."""
-        self.stopped.set()
-        self.thread.join()
-        self.bus.shutdown()
-        os.close(self.master)
-        os.close(self.terminal)
+    with bus, background(work):
+        yield os.ttyname(terminal)
+    os.close(master)
+    os.close(terminal)
 
 
 @setup("adapter.md")
 def finger_behind_a_serial_adapter() -> Iterator[Names]:
     """Node 5 under 1.95 N, which the noise never shows as 2, behind /dev/ttyACM0."""
     pytest.importorskip("serial")
-    with default_bus() as bus, tipforce.simulated_hand([5], {5: (1.95, 90.0, 45.0)}, **bus):
-        adapter, terminal = SerialAdapter(can.Bus(**bus)), Terminal()
-        try:
-            yield {"shell": lambda line: terminal(line.replace("/dev/ttyACM0", adapter.path))}
-        finally:
-            adapter.close()
+    finger = {5: (1.95, 90.0, 45.0)}
+    with default_bus() as bus, tipforce.simulated_hand([5], finger, **bus), serial_adapter(can.Bus(**bus)) as path:
+        terminal = Terminal()
+        yield {"shell": lambda line: terminal(line.replace("/dev/ttyACM0", path))}
 
 
 @setup("hand.md")
