@@ -21,13 +21,11 @@ import pytest
 from bench.measure import background
 
 import tipforce
-from canopen_device.running import loop
-from canopen_device.running.open_bus import PythonCanPort
 from canopen_device.running.store import FileStore
 from canopen_device.testing import Conversation, MemoryStore, text
 from docs.runner import Terminal
 from fingertip.finger import forces
-from host.bus_with_nodes import beam_calibration
+from host.bus_with_nodes import beam_calibration, new_channel, running
 from sources.iio_tree import Tree
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration, write_calibration
@@ -47,7 +45,6 @@ from tools.rig import write_readings
 Names = dict[str, Any]
 Setup = Callable[[], contextlib.AbstractContextManager[Names]]
 SETUPS: dict[str, Setup] = {}
-_CHANNELS = itertools.count()
 
 
 def setup(page: str) -> Callable[[Callable[[], Iterator[Names]]], Setup]:
@@ -109,7 +106,7 @@ def write_two_days_of_two_fingers() -> None:
 @contextlib.contextmanager
 def default_bus() -> Iterator[dict[str, Any]]:
     """A bus inside this process that python-can's configuration names."""
-    bus = {"interface": "virtual", "channel": f"docs-{next(_CHANNELS)}"}
+    bus = {"interface": "virtual", "channel": new_channel()}
     with pytest.MonkeyPatch.context() as patch:
         for key, value in bus.items():
             patch.setitem(can.rc, key, value)
@@ -212,8 +209,7 @@ class Bench:
         source = open_iio("spi0.0", "finger.toml", 3, bridge, Capture("poll"), self.devices)
         store = FileStore(Path("node-5.json").absolute())
         device = fingertip_node(5, source, serial=5, save=store.save, load=store.load)
-        bus = self.node.enter_context(can.Bus(**self.bus))
-        self.node.enter_context(loop.running([device], PythonCanPort(bus)))
+        self.node.enter_context(running([device], self.bus["channel"]))
         time.sleep(0.15)
 
     def stop_node(self) -> None:
