@@ -65,6 +65,11 @@ def record(
     return struct.pack(packing(n), *values)
 
 
+def flipped(data: bytes, bit: int) -> bytes:
+    """Data with one wrong bit."""
+    return data[: bit // 8] + bytes((data[bit // 8] ^ 1 << bit % 8,)) + data[bit // 8 + 1 :]
+
+
 class Pdos(NamedTuple):
     """TPDO1 and TPDO2 of one SYNC."""
 

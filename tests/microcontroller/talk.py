@@ -15,7 +15,7 @@ from canopen_device.testing import Conversation, Frame, MemoryStore
 from conformance.fingertip import SERIAL, run_in_process
 from fingertip.finger import forces
 from microcontroller import rig
-from micropython import recording, scripts
+from micropython import scripts
 from micropython.recording import SYNC, Recording, Talk
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.source import Reading, Source
@@ -172,8 +172,3 @@ def examined(adc: str, can: str, cases: Sequence[Case]) -> list[Recording]:
     failed = [result.case.name for result in results if result.verdict == FAIL]
     assert [name for name in failed if name.split(".")[0] not in ("profile_404", "interrupts_404")] == []
     return [device.recording for device in devices]
-
-
-def assert_same(recordings: Sequence[Recording], files: dict[str, bytes]) -> None:
-    """MicroPython answers every step as CPython did, byte for byte, and flash holds the same."""
-    recording.assert_same(recordings, files, "from microcontroller.rig import Replay")

@@ -122,7 +122,6 @@ class Command:
             path.touch()
         self._process = _context.Process(target=_run_here, args=(self.words, [str(p) for p in self._outputs]))
         self._process.start()
-        self._closed = False
 
     @property
     def pid(self) -> int:
@@ -139,7 +138,7 @@ class Command:
 
     @property
     def ended(self) -> bool:
-        return self._closed or self._process.exitcode is not None
+        return self._process.exitcode is not None
 
     def wait(self, timeout_s: float = WAIT_S) -> int:
         """Its exit code, or minus the number of the signal that ended it. Raises AssertionError after the time."""
@@ -158,9 +157,6 @@ class Command:
     def close(self) -> None:
         if not self.ended:
             self.end(signal.SIGKILL)
-        if not self._closed:
-            self._process.close()
-            self._closed = True
 
 
 Launch = Callable[..., Command]

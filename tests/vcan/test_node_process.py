@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from vcan.support import NODE_ID, OPERATIONAL_BEAT, SYNC, Command, Launch, RawBus, ip_link, running_node, wait_until
+from vcan.support import NODE_ID, OPERATIONAL_BEAT, SYNC, Launch, RawBus, ip_link, running_node, wait_until
 
 OWN_BUS = "tipforce0"
 CHANNEL = "vcan1"
@@ -63,15 +63,6 @@ def own_bus() -> Iterator[str]:
     ip_link("del", OWN_BUS, check=False)
 
 
-def still_operational(channel: str, node: Command) -> None:
-    """It sends heartbeats in the state that it was in (so it was not restarted), and answers a SYNC."""
-    with RawBus(channel) as bus:
-        bus.until(lambda frame: frame == OPERATIONAL_BEAT)
-        assert bus.answers_a_sync()
-    wait_until(lambda: "up again" in node.stderr, "no word that the interface is up again")
-    assert node.end() == 0
-
-
 @pytest.mark.parametrize(
     ("away", "back", "said"),
     [
@@ -90,7 +81,11 @@ def test_node_outlives_its_interface(own_bus: str, tmp_path: Path, away: list[st
         if back:
             ip_link(*back)
         ip_link("set", own_bus, "up")
-        still_operational(own_bus, node)
+        with RawBus(own_bus) as bus:
+            bus.until(lambda frame: frame == OPERATIONAL_BEAT)  # in the state that it was in: it was not restarted
+            assert bus.answers_a_sync()
+        wait_until(lambda: "up again" in node.stderr, "no word that the interface is up again")
+        assert node.end() == 0
         assert node.stderr.count(said) == 1
 
 
