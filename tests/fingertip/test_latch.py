@@ -49,6 +49,11 @@ def test_without_sync_a_read_brings_a_sample_of_at_most_100_ms() -> None:
     talk.advance(1)
     assert talk.get("f", 0x6130, 7) == pytest.approx(2.0, abs=2e-3)
     assert talk.get("B", 0x2121) == counter + 1
+    talk.sync()
+    for command in (0x81, 0x82):  # after a reset of the node, or of communication, without waiting for a SYNC
+        talk.now_us += 1000
+        talk.nmt(command)
+        assert math.isfinite(talk.get("f", 0x6130, 1))
 
 
 def test_event_driven_health_carries_the_last_latch() -> None:
@@ -210,15 +215,6 @@ def test_interrupts_wait_for_a_converter_that_is_slower_than_the_sample_period()
     talk.source.fault = SILENT
     talk.advance(110_000)
     assert [struct.unpack("<h", data[:2])[0] for can_id, data in talk.take() if can_id == 0x185] == [rig.UNKNOWN]
-
-
-def test_after_a_reset_a_read_takes_a_sample_without_waiting_for_a_sync() -> None:
-    talk = rig.finger(load=rig.PUSH)
-    talk.sync()
-    for command in (0x81, 0x82):  # reset node, reset communication
-        talk.now_us += 1000
-        talk.step([(0x000, bytes((command, 5)))])
-        assert math.isfinite(talk.get("f", 0x6130, 1))
 
 
 def shown(talk: rig.Finger, n: int = 3) -> dict[tuple[int, int], bytes | int]:
