@@ -153,3 +153,10 @@ def finger(
         assert talk.stage(calibrated if isinstance(calibrated, bytes) else record(n)) == 0
         assert talk.commit() == 0
     return talk
+
+
+def filtered(kind: int, constant: int, **options: Any) -> Finger:
+    """A finger with one filter for all gauges."""
+    talk = finger(**options)
+    assert talk.put("H", 0x61A1, 1, constant) == talk.put("B", 0x61A0, 1, kind) == 0
+    return talk

@@ -24,12 +24,6 @@ COUNTS = st.lists(st.integers(-(1 << 23), (1 << 23) - 1), min_size=1, max_size=1
 CONSTANT = st.integers(2, 40)
 
 
-def filtered(kind: int, constant: int, **options: object) -> rig.Finger:
-    talk = rig.finger(**options)  # type: ignore[arg-type]
-    assert talk.put("H", 0x61A1, 1, constant) == talk.put("B", 0x61A0, 1, kind) == 0
-    return talk
-
-
 def outputs(kind: int, constant: int, counts: list[int]) -> list[float]:
     """What a filter of three gauges gives after each conversion; the gauges see c, -c and 3 c."""
     algorithm = filters.algorithm(kind, 3, constant)
@@ -79,13 +73,13 @@ def test_type_none_and_a_constant_of_one_have_no_filter_and_load_none() -> None:
     )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert shown.stdout == "[]\n"
-    assert filtered(IIR, 1).device.application.filtering is None
+    assert rig.filtered(IIR, 1).device.application.filtering is None
 
 
 @pytest.mark.parametrize("step_us", [1, 100, 500, 10_000])
 def test_every_conversion_goes_in_whenever_the_node_is_stepped(step_us: int) -> None:
     """The filter does not hang on the loop: conversions that it came too late for are made up for."""
-    talk = filtered(MOVING, 8, calibrated=False)
+    talk = rig.filtered(MOVING, 8, calibrated=False)
     # Gauge 1 is in mN ten times the number of the conversion since a second.
     talk.source.forces = lambda now_us: ((now_us - 1_000_000) / 500 / 100, 0.0, 0.0)
     talk.now_us = 1_000_000
@@ -133,7 +127,7 @@ def test_frames_of_a_filtered_node_byte_by_byte() -> None:
 
 @pytest.mark.parametrize("change", [(0x61A1, "H", 5), (0x61A0, "B", MOVING), (0x6114, "I", 1000)])
 def test_a_change_begins_anew(change: tuple[int, str, int]) -> None:
-    talk = filtered(MOVING, 6, load=(1.0, 90.0, 0.0))
+    talk = rig.filtered(MOVING, 6, load=(1.0, 90.0, 0.0))
     for _ in range(10):
         talk.sync()
     talk.source.load = (0.0, 0.0, 0.0)
@@ -144,7 +138,7 @@ def test_a_change_begins_anew(change: tuple[int, str, int]) -> None:
 
 def test_stored_with_the_application_parameters() -> None:
     store = MemoryStore()
-    assert filtered(MOVING, 6, store=store).put("I", 0x1010, 3, rig.SAVE) == 0
+    assert rig.filtered(MOVING, 6, store=store).put("I", 0x1010, 3, rig.SAVE) == 0
     again = rig.finger(store=store, calibrated=False)
     assert [again.get("B", 0x61A0, sub) for sub in (1, 2, 3)] == [MOVING] * 3
     again.source.load = (1.0, 90.0, 0.0)
@@ -165,7 +159,7 @@ def test_a_store_with_a_filter_that_is_not_offered_gives_none() -> None:
 
 
 def test_saturation_within_a_block_shows_before_the_block_ends_and_the_block_begins_anew() -> None:
-    talk = filtered(REPEATING, 100, load=rig.PUSH)
+    talk = rig.filtered(REPEATING, 100, load=rig.PUSH)
     talk.advance(120_000)
     clean = talk.sync()
     assert not clean.status & rig.STALE
@@ -185,7 +179,7 @@ def test_saturation_within_a_block_shows_before_the_block_ends_and_the_block_beg
 def test_no_live_value_holds_a_bad_conversion(data: st.DataObject) -> None:
     """Whatever conversions are at the end of the range, a gauge that is shown is the mean of values that are not."""
     kind = data.draw(st.sampled_from([MOVING, REPEATING, IIR]))
-    talk = filtered(kind, data.draw(st.integers(2, 12)), calibrated=False, load=(0.5, 90.0, 0.0))
+    talk = rig.filtered(kind, data.draw(st.integers(2, 12)), calibrated=False, load=(0.5, 90.0, 0.0))
     bad = data.draw(st.sets(st.integers(0, 79)))
     start = talk.now_us // 500
     talk.source.forces = lambda now_us: (1e6 if now_us // 500 - start in bad else 0.5, 0.0, 0.0)
@@ -196,7 +190,7 @@ def test_no_live_value_holds_a_bad_conversion(data: st.DataObject) -> None:
 
 
 def test_with_more_gauges_the_others_stay_filtered_while_one_is_lost() -> None:
-    talk = filtered(MOVING, 50, n=4, calibrated=rig.record(4), noise_microstrain=3.0)
+    talk = rig.filtered(MOVING, 50, n=4, calibrated=rig.record(4), noise_microstrain=3.0)
     talk.source.fault, talk.source.fault_gauge = AT_THE_END, 4
     values = []
     for _ in range(200):
@@ -207,7 +201,7 @@ def test_with_more_gauges_the_others_stay_filtered_while_one_is_lost() -> None:
 
 
 def test_frozen_gauge_is_found_by_raw_counts() -> None:
-    talk = filtered(MOVING, 16, calibrated=rig.record(noise_strain=5e-7), load=rig.PUSH, noise_microstrain=0.5)
+    talk = rig.filtered(MOVING, 16, calibrated=rig.record(noise_strain=5e-7), load=rig.PUSH, noise_microstrain=0.5)
     for _ in range(100):
         assert not talk.sync().status & rig.FAULT
     talk.source.fault, talk.source.fault_gauge = STUCK, 1
@@ -217,7 +211,7 @@ def test_frozen_gauge_is_found_by_raw_counts() -> None:
 
 
 def test_sleep_of_the_loop_ends_an_average() -> None:
-    talk = filtered(MOVING, 100, load=(1.0, 90.0, 0.0))
+    talk = rig.filtered(MOVING, 100, load=(1.0, 90.0, 0.0))
     talk.advance(80_000)
     talk.source.load = (0.0, 0.0, 0.0)
     assert talk.sync(after_us=3_600_000_000).gauges == (0, 0, 0)
@@ -254,7 +248,7 @@ def test_a_source_that_does_not_say_when_it_converts() -> None:
 
 def test_without_sync_a_slow_output_is_read_as_known() -> None:
     """Between two averages there is nothing newer to read: only a SYNC says stale, or a front end that is silent."""
-    talk = filtered(REPEATING, 1000, load=rig.PUSH)  # one each 0.5 s
+    talk = rig.filtered(REPEATING, 1000, load=rig.PUSH)  # one each 0.5 s
     assert math.isnan(talk.get("f", 0x6130, 1))
     talk.advance(600_000)
     for _ in range(20):
@@ -279,7 +273,7 @@ def test_without_a_filter_a_slow_converter_is_neither_stale_nor_silent() -> None
 
 
 def test_autozero_zeroes_what_is_shown() -> None:
-    talk = filtered(MOVING, 64, calibrated=False, noise_microstrain=3.0, offset_microstrain=[40.0, 0.0, 0.0])
+    talk = rig.filtered(MOVING, 64, calibrated=False, noise_microstrain=3.0, offset_microstrain=[40.0, 0.0, 0.0])
     talk.advance(100_000)
     assert talk.put("I", 0x6125, 1, 0x6F72657A) == 0
     shown = [talk.sync().gauges[0] for _ in range(3)]
@@ -287,7 +281,7 @@ def test_autozero_zeroes_what_is_shown() -> None:
 
 
 def test_interrupts_compare_outputs() -> None:
-    talk = filtered(REPEATING, 400, calibrated=False)  # one each 200 ms
+    talk = rig.filtered(REPEATING, 400, calibrated=False)  # one each 200 ms
     assert talk.put("f", 0x6133, 1, 50.0) == 0
     assert talk.put("I", 0x1800, 1, 0xC0000185) == talk.put("B", 0x1800, 2, 254) == 0
     assert talk.put("I", 0x1800, 1, 0x40000185) == 0

@@ -10,9 +10,7 @@ from canopen_device.testing import MemoryStore
 from fingertip import finger as rig
 from stability.case import Observed
 from tipforce.dictionary import indices, table, table_objects
-from tipforce.fingertip.node import fingertip_node
 from tipforce.sensor.contact import scalar
-from tipforce.sources.simulated import SimulatedSource
 
 _GROUP = 4
 
@@ -126,9 +124,7 @@ def _stored() -> MemoryStore:
 
 
 def _started(memory: MemoryStore) -> rig.Finger:
-    source = SimulatedSource(rig.strain_per_newton())
-    source.load = rig.PUSH
-    return rig.Finger(fingertip_node(rig.NODE_ID, source, save=memory.save, load=memory.load), source, emcy=True)
+    return rig.finger(calibrated=False, load=rig.PUSH, store=memory, emcy=True)
 
 
 def _uncalibrated(finger: rig.Finger) -> bool:

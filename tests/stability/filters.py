@@ -17,18 +17,10 @@ from tipforce.sources.simulated import SILENT, SimulatedSource
 _MOVING, _REPEATING, _FIRST_ORDER = filters.MOVING_AVERAGE, filters.REPEATING_AVERAGE, filters.FIRST_ORDER
 
 
-def _filtered(kind: int, constant: int, **arguments: object) -> rig.Finger:
-    finger = rig.finger(**arguments)  # type: ignore[arg-type]
-    abort = finger.put("H", indices.FILTER_CONSTANT, 1, constant) or finger.put("B", indices.FILTER_TYPE, 1, kind)
-    if abort:
-        raise ValueError(f"{abort:08X}h")
-    return finger
-
-
 def filter_constants() -> Observed:
     """61A1h = 0, 257 and 65535 for a moving average; unknown types 3, 99, 255 -> refused: 06090032h, 06090031h,
     06090030h; filter and constant stay"""
-    finger = _filtered(_MOVING, 8)
+    finger = rig.filtered(_MOVING, 8)
     aborts = [finger.put("H", indices.FILTER_CONSTANT, 1, constant) for constant in (0, 257, 65535)]
     aborts += [finger.put("B", indices.FILTER_TYPE, 1, kind) for kind in (3, 99, 255)]
     kept = int(finger.get("B", indices.FILTER_TYPE, 1)), int(finger.get("H", indices.FILTER_CONSTANT, 1))
@@ -49,7 +41,7 @@ def filter_constant_1() -> Observed:
         return found
 
     plain = run(rig.finger())
-    same = [run(_filtered(kind, 1)) == plain for kind in (_MOVING, _REPEATING, _FIRST_ORDER)]
+    same = [run(rig.filtered(kind, 1)) == plain for kind in (_MOVING, _REPEATING, _FIRST_ORDER)]
     return all(same), f"{sum(same)} of 3 types give the same 50 samples"
 
 
@@ -99,7 +91,7 @@ def filter_first_order_settles() -> Observed:
 def filter_repeating_65535() -> Observed:
     """a repeating average of 65535 conversions: 6.5 s to its first output -> flagged: until then P and gauges are
     unknown with bit 3; then the mean is right"""
-    finger = _filtered(_REPEATING, 65535, load=rig.PUSH)
+    finger = rig.filtered(_REPEATING, 65535, load=rig.PUSH)
     finger.put("I", indices.SAMPLE_PERIOD_US, 1, 100)
     early = [finger.sync(50_000) for _ in range(130)]
     hushed = all(one.contact == one.gauges == rig.HUSHED and one.status & scalar.STALE for one in early)
@@ -113,7 +105,7 @@ def filter_repeating_65535() -> Observed:
 def filter_saturated() -> Observed:
     """one saturated reading inside a moving average of 256 -> flagged: that SYNC has bit 2 and P unknown, and the
     average restarts: no value contains the reading"""
-    finger = _filtered(_MOVING, 256, load=rig.PUSH)
+    finger = rig.filtered(_MOVING, 256, load=rig.PUSH)
     for _ in range(200):
         finger.sync(rig.PERIOD_US)
     finger.source.forces = lambda _now: (40.0, 0.0, -1.0)
@@ -128,7 +120,7 @@ def filter_saturated() -> Observed:
 def filter_silence() -> Observed:
     """the converter stops inside a first-order filter of 1000 -> flagged: every SYNC from then on has bit 3 and all
     unknown, after 100 ms bit 7 too"""
-    finger = _filtered(_FIRST_ORDER, 1000, load=rig.PUSH)
+    finger = rig.filtered(_FIRST_ORDER, 1000, load=rig.PUSH)
     for _ in range(200):
         good = finger.sync()
     finger.break_gauge(SILENT)

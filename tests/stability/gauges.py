@@ -1,5 +1,6 @@
 """Gauges that are saturated, stuck, open, silent, swapped, or lost: detection by the node and the host."""
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -158,12 +159,9 @@ def gauge_eight_all_lost() -> Observed:
 
 def _pairs(n: int) -> list[list[int]]:
     """Return the order of the gauges with two of them swapped, for each pair."""
-    found = []
-    for i in range(n):
-        for k in range(i + 1, n):
-            order = list(range(n))
-            order[i], order[k] = k, i
-            found.append(order)
+    found = [list(range(n)) for _ in itertools.combinations(range(n), 2)]
+    for order, (i, k) in zip(found, itertools.combinations(range(n), 2), strict=True):
+        order[i], order[k] = k, i
     return found
 
 
