@@ -1,6 +1,7 @@
 """Filters 61A0h, 61A1h: equal to their definitions, exact; on a node: no average over a bad conversion or a sleep."""
 
 import math
+import struct
 import subprocess
 import sys
 
@@ -272,15 +273,24 @@ def test_autozero_zeroes_what_is_shown() -> None:
     assert max(map(abs, shown)) <= 12  # 30 counts of noise in one conversion
 
 
-def test_interrupts_compare_outputs() -> None:
-    talk = rig.filtered(REPEATING, 400, calibrated=False)  # one each 200 ms
+@pytest.mark.parametrize(("slow", "within_us"), [("converter", 4000), ("filter", 500_000)])
+def test_interrupts_wait_for_what_is_slower_than_the_sample_period(slow: str, within_us: int) -> None:
+    """Between two conversions, or two averages, nothing is new, and nothing unknown: no TPDO without a change."""
+    constant = 1 if slow == "converter" else 400  # an average each 200 ms
+    talk = rig.filtered(REPEATING, constant, calibrated=False)
     assert talk.put("f", 0x6133, 1, 50.0) == 0
-    assert talk.put("I", 0x1800, 1, 0xC0000185) == talk.put("B", 0x1800, 2, 254) == 0
+    assert talk.put("I", 0x1800, 1, 0xC0000185) == talk.put("B", 0x1800, 2, 255) == 0
     assert talk.put("I", 0x1800, 1, 0x40000185) == 0
+    if slow == "converter":
+        talk.device.od.values[0x611400 | 1] = 500
+        talk.source.period_us = 3125  # as the front end of a microcontroller, which 6114h does not make faster
     talk.advance(500_000)
     talk.take()
     talk.advance(1_000_000)
-    talk.quiet()  # no change, and no sample between two outputs that would be unknown
+    talk.quiet()
     talk.source.load = (1.0, 90.0, 0.0)
-    talk.advance(500_000)
-    assert any(can_id == 0x185 for can_id, _ in talk.take())
+    talk.advance(within_us)
+    assert [struct.unpack("<h", data[:2])[0] for can_id, data in talk.take() if can_id == 0x185] == [1000]
+    talk.source.fault = SILENT
+    talk.advance(110_000 + within_us)
+    assert [struct.unpack("<h", data[:2])[0] for can_id, data in talk.take() if can_id == 0x185] == [rig.UNKNOWN]

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from fingertip import finger as rig
 from tipforce.sensor.contact import scalar, scalar_uncertainty
-from tipforce.sources.simulated import SILENT
 
 NORMAL = (1.0, -170.0, 10.0)  # straight into the tip
 PULL_TIP = (0.015, -60.0, 60.0, 0.05, 0.02, 1)
@@ -195,26 +194,6 @@ def test_tare_between_slow_syncs_uses_a_reading_of_its_own_time() -> None:
     pdos = talk.sync(after_us=1)  # the converter has no further reading yet: that of the tare is new to this SYNC
     assert not pdos.status & rig.STALE
     assert pdos.contact[0] == 0
-
-
-def test_interrupts_wait_for_a_converter_that_is_slower_than_the_sample_period() -> None:
-    """Between two of its conversions nothing is new, and nothing unknown: no TPDO without a change."""
-    talk = rig.finger(calibrated=False)
-    assert talk.put("f", 0x6133, 1, 50.0) == 0
-    assert talk.put("I", 0x1800, 1, 0xC0000185) == talk.put("B", 0x1800, 2, 255) == 0
-    assert talk.put("I", 0x1800, 1, 0x40000185) == 0
-    talk.device.od.values[0x611400 | 1] = 500
-    talk.source.period_us = 3125  # as the front end of a microcontroller, which 6114h does not make faster
-    talk.advance(200_000)
-    talk.take()
-    talk.advance(200_000)
-    talk.quiet()
-    talk.source.load = (1.0, 90.0, 0.0)
-    talk.advance(4000)
-    assert [struct.unpack("<h", data[:2])[0] for can_id, data in talk.take() if can_id == 0x185] == [1000]
-    talk.source.fault = SILENT
-    talk.advance(110_000)
-    assert [struct.unpack("<h", data[:2])[0] for can_id, data in talk.take() if can_id == 0x185] == [rig.UNKNOWN]
 
 
 def shown(talk: rig.Finger, n: int = 3) -> dict[tuple[int, int], bytes | int]:
