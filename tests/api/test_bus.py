@@ -16,7 +16,7 @@ from bench.measure import background
 
 import tipforce
 from tipforce.dictionary import objects as od
-from tools.rig import message, until
+from tools.rig import message, sending, until
 
 LOAD = (4.4, 90.0, 45.0)
 
@@ -140,13 +140,7 @@ def test_a_passive_finger_sends_nothing(bus: tipforce.SimulatedBus) -> None:
         with pytest.raises(tipforce.NoNewSampleError, match="no frame with identifier"):
             finger.read(timeout_s=0.1)
         assert ear.recv(0) is None
-
-        def produce(stop: threading.Event) -> None:
-            while not stop.wait(0.02):
-                bus.nmt("start", 5)
-                bus.sync()
-
-        with background(produce):
+        with sending(options["channel"], lambda _number: (message(0, b"\x01\x05"), message(0x80)), 0.02):
             contact = finger.read(timeout_s=5.0)
     assert math.isclose(contact.P_newtons, 4.4, abs_tol=0.1)
     assert math.isnan(contact.u_P_newtons)  # no calibration is known

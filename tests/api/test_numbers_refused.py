@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import canopen
 import numpy as np
@@ -151,68 +151,55 @@ def fit(**columns: object) -> object:
     return tipforce.fit_calibration(replace(GOOD, **columns))  # type: ignore[arg-type]
 
 
-ARRAYS: dict[str, tuple[Callable[..., object], dict[str, object]]] = {
-    "estimate": (
-        partial(tipforce.estimate, CALIBRATION), {"microstrain": [[1.0, 2.0, 3.0]], "temperature_degC": [20.0]}
-    ),
-    "Estimator": (tipforce.Estimator(CALIBRATION), {"microstrain": [1.0, 2.0, 3.0], "temperature_degC": 20.0}),
-    "Calibration.from_microstrain": (
-        tipforce.Calibration.from_microstrain,
-        {"matrix": CALIBRATION.C * 1e-6, "offset": [0.0, 1.0, 2.0], "covariance": SQUARE},
-    ),
-    "Calibration.from_microstrain noise": (
-        partial(tipforce.Calibration.from_microstrain, CALIBRATION.C * 1e-6), {"noise": [1.0, 2.0, 1.0]}
-    ),
-    "Calibration": (
-        tipforce.Calibration,
-        {
-            "C": CALIBRATION.C, "offset_strain": [0.0, 0.0, 0.0], "covariance_strain2": 1e-12 * SQUARE,
-            "converter_limit_strain": [1.0, 1.0, 1.0], "offset_temperature_strain_per_K": [0.0, 0.0, 0.0],
-            "parameter_covariance": np.zeros((3, 4, 3, 4)), "tip_radius_m": 0.015, "model_uncertainty": 0.01,
-            "calibrated_force_newtons": 5.0,
-        },
-    ),
-    "Readings": (fit, {name: getattr(GOOD, name) for name in ("strain", "P_newtons", "phi_rad", "theta_rad")}),
-    "Readings by time": (
-        fit, {"t_s": np.arange(30.0), "weight": np.ones(30), "temperature_degC": np.full(30, 20.0)}
-    ),
-    "Model": (
+Given: TypeAlias = tuple[Callable[..., object], dict[str, object]]
+
+
+def given(call: Callable[..., object], **arrays: object) -> Given:
+    """What is called, and numbers that it takes."""
+    return call, arrays
+
+
+ARRAYS: dict[str, Given] = {
+    "estimate": given(partial(tipforce.estimate, CALIBRATION), microstrain=[[1.0, 2.0, 3.0]], temperature_degC=[20.0]),
+    "Estimator": given(tipforce.Estimator(CALIBRATION), microstrain=[1.0, 2.0, 3.0], temperature_degC=20.0),
+    "Calibration.from_microstrain": given(
+        tipforce.Calibration.from_microstrain, matrix=CALIBRATION.C * 1e-6, offset=[0.0, 1.0, 2.0], covariance=SQUARE),
+    "Calibration.from_microstrain noise": given(
+        partial(tipforce.Calibration.from_microstrain, CALIBRATION.C * 1e-6), noise=[1.0, 2.0, 1.0]),
+    "Calibration": given(
+        tipforce.Calibration, C=CALIBRATION.C, offset_strain=[0.0, 0.0, 0.0], covariance_strain2=1e-12 * SQUARE,
+        converter_limit_strain=[1.0, 1.0, 1.0], offset_temperature_strain_per_K=[0.0, 0.0, 0.0],
+        parameter_covariance=np.zeros((3, 4, 3, 4)), tip_radius_m=0.015, model_uncertainty=0.01,
+        calibrated_force_newtons=5.0),
+    "Readings": given(fit, **{name: getattr(GOOD, name) for name in ("strain", "P_newtons", "phi_rad", "theta_rad")}),
+    "Readings by time": given(fit, t_s=np.arange(30.0), weight=np.ones(30), temperature_degC=np.full(30, 20.0)),
+    "Model": given(
         lambda **given: tipforce.fit_calibration(GOOD, sensor.Model(**given)),
-        {"noise_strain": [1e-6, 1e-6, 1e-6], "saturation_strain": [1.0, 1.0, 1.0]},
-    ),
-    "Prior": (
+        noise_strain=[1e-6, 1e-6, 1e-6], saturation_strain=[1.0, 1.0, 1.0]),
+    "Prior": given(
         lambda A: tipforce.fit_calibration(GOOD, sensor.Model(prior=sensor.Prior(A))),
-        {"A": sensor.strain_matrix(FABRICATED, "I")},
-    ),
-    "apparent_force": (partial(sensor.apparent_force, FABRICATED, "I"), {"wrenches": np.zeros((1, 6))}),
-    "condition_number": (sensor.condition_number, {"matrix": SQUARE}),
-    "contacts": (partial(sensor.contacts, pull=True), {"F_newtons": [1.0, 0.0, 2.0]}),
-    "covariance_of_estimate": (
-        sensor.covariance_of_estimate,
-        {
-            "C": CALIBRATION.C, "noise_covariance": 1e-12 * SQUARE, "parameter_covariance": np.zeros((3, 4, 3, 4)),
-            "F_newtons": [1.0, 0.0, 2.0],
-        },
-    ),
-    "curvature": (sensor.curvature, {"F_newtons": [1.0, 0.0, 2.0], "covariance_F": SQUARE}),
-    "detect": (partial(sensor.detect, PARITY), {"strain": np.zeros((2, 4)), "variance_factor": [1.0, 1.0]}),
-    "first_order_holds": (sensor.first_order_holds, {"F_newtons": [1.0, 0.0, 2.0], "covariance_F": SQUARE}),
-    "force_from_strain": (
-        sensor.force_from_strain,
-        {"C": SQUARE, "strain": [1.0, 2.0, 3.0], "offset_strain": [0.0] * 3, "tare_newtons": [0.0] * 3},
-    ),
-    "force_vector": (sensor.force_vector, {"P_newtons": [1.0], "phi_rad": [0.0], "theta_rad": [0.0]}),
-    "linear_fit": (sensor.linear_fit, {"strain": SQUARE, "F_newtons": SQUARE}),
-    "noise_gain": (sensor.noise_gain, {"C": SQUARE}),
-    "off_axis_wrenches": (partial(sensor.off_axis_wrenches, FABRICATED), {"theta_rad": [0.1, 0.2]}),
-    "overload": (
-        partial(tipforce_lab.overload, MODES, SLIT), {"times_s": np.arange(3) * 1e-4, "loads_newtons": np.zeros((3, 3))}
-    ),
-    "parity": (sensor.parity, {"C": C4, "covariance_strain2": 1e-12 * np.eye(4)}),
-    "respond": (lambda loads_newtons: sensor.respond(MODES, loads_newtons, 1e-4), {"loads_newtons": np.zeros((5, 3))}),
-    "standard_uncertainties": (
-        partial(sensor.standard_uncertainties, pull=True), {"F_newtons": [1.0, 0.0, 2.0], "covariance_F": SQUARE}
-    ),
+        A=sensor.strain_matrix(FABRICATED, "I")),
+    "apparent_force": given(partial(sensor.apparent_force, FABRICATED, "I"), wrenches=np.zeros((1, 6))),
+    "condition_number": given(sensor.condition_number, matrix=SQUARE),
+    "contacts": given(partial(sensor.contacts, pull=True), F_newtons=[1.0, 0.0, 2.0]),
+    "covariance_of_estimate": given(
+        sensor.covariance_of_estimate, C=CALIBRATION.C, noise_covariance=1e-12 * SQUARE,
+        parameter_covariance=np.zeros((3, 4, 3, 4)), F_newtons=[1.0, 0.0, 2.0]),
+    "curvature": given(sensor.curvature, F_newtons=[1.0, 0.0, 2.0], covariance_F=SQUARE),
+    "detect": given(partial(sensor.detect, PARITY), strain=np.zeros((2, 4)), variance_factor=[1.0, 1.0]),
+    "first_order_holds": given(sensor.first_order_holds, F_newtons=[1.0, 0.0, 2.0], covariance_F=SQUARE),
+    "force_from_strain": given(
+        sensor.force_from_strain, C=SQUARE, strain=[1.0, 2.0, 3.0], offset_strain=[0.0] * 3, tare_newtons=[0.0] * 3),
+    "force_vector": given(sensor.force_vector, P_newtons=[1.0], phi_rad=[0.0], theta_rad=[0.0]),
+    "linear_fit": given(sensor.linear_fit, strain=SQUARE, F_newtons=SQUARE),
+    "noise_gain": given(sensor.noise_gain, C=SQUARE),
+    "off_axis_wrenches": given(partial(sensor.off_axis_wrenches, FABRICATED), theta_rad=[0.1, 0.2]),
+    "overload": given(
+        partial(tipforce_lab.overload, MODES, SLIT), times_s=np.arange(3) * 1e-4, loads_newtons=np.zeros((3, 3))),
+    "parity": given(sensor.parity, C=C4, covariance_strain2=1e-12 * np.eye(4)),
+    "respond": given(partial(sensor.respond, MODES, step_s=1e-4), loads_newtons=np.zeros((5, 3))),
+    "standard_uncertainties": given(
+        partial(sensor.standard_uncertainties, pull=True), F_newtons=[1.0, 0.0, 2.0], covariance_F=SQUARE),
 }  # fmt: skip
 
 
@@ -234,19 +221,19 @@ NO_NUMBERS: dict[str, Callable[[object], object]] = {
 
 
 @pytest.mark.parametrize("kind", NO_NUMBERS)
-@pytest.mark.parametrize(("name", "argument"), [(name, key) for name, (_, given) in ARRAYS.items() for key in given])
+@pytest.mark.parametrize(("name", "argument"), [(name, key) for name, (_, arrays) in ARRAYS.items() for key in arrays])
 def test_what_is_no_array_of_numbers_is_refused_by_name(name: str, argument: str, kind: str) -> None:
-    call, given = ARRAYS[name]
+    call, arrays = ARRAYS[name]
     with pytest.raises(tipforce.InputError) as refused:
-        call(**{**given, argument: NO_NUMBERS[kind](given[argument])})
+        call(**{**arrays, argument: NO_NUMBERS[kind](arrays[argument])})
     assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize("name", ARRAYS)
 def test_these_arrays_are_numbers(name: str) -> None:
-    call, given = ARRAYS[name]
-    call(**given)
-    plain: dict[str, Any] = {key: np.ma.array(value) for key, value in given.items()}  # nothing is masked
+    call, arrays = ARRAYS[name]
+    call(**arrays)
+    plain: dict[str, Any] = {key: np.ma.array(value) for key, value in arrays.items()}  # nothing is masked
     call(**plain)
 
 

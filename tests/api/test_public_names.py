@@ -24,6 +24,7 @@ from tipforce.shipped_files import shipped_folder
 from tipforce_tools.cli.main import main
 
 ROOT = Path(__file__).parents[2]
+DICTIONARY = ROOT / "node" / "tipforce" / "dictionary"
 PARTS = ["host", "sensor", "fingertip", "sources", "scene"]
 DEVICE = ["canopen_device", *(f"canopen_device.{part}" for part in ("eds", "machine", "running"))]
 ROBOTS = ["tipforce_robots.mujoco", "tipforce_robots.learning"]
@@ -63,10 +64,11 @@ def test_a_bare_environment_is_enough_to_import_it() -> None:
 
 
 def test_importing_it_loads_nothing_of_others() -> None:
-    code = "import sys, tipforce, tipforce.host, tipforce.sensor, canopen_device, canopen_device.core, tipforce.scene, "
-    code += "tipforce_robots.mujoco, tipforce_robots.learning; "
-    code += "print({'numpy', 'can', 'canopen', 'msgspec', 'scipy', 'mujoco', 'gymnasium'} & sys.modules.keys())"
-    assert python(code).strip() == "set()"
+    modules = ["tipforce", "tipforce.host", "tipforce.sensor", "tipforce.scene", "canopen_device", *ROBOTS]
+    modules += ["canopen_device.core", *(f"tipforce.dictionary.{path.stem}" for path in DICTIONARY.glob("[a-z]*.py"))]
+    code = f"import sys, importlib\nfor name in {modules}: importlib.import_module(name)\n"
+    code += "others = {'numpy', 'can', 'canopen', 'cantools', 'msgspec', 'scipy', 'mujoco', 'gymnasium'}\n"
+    assert python(code + "print(others & sys.modules.keys())").strip() == "set()"
 
 
 def test_a_program_without_sources_has_the_same_names(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from canopen_conformance.run import Result
 from canopen_conformance.run import run_in_process as run_on_core
 from canopen_conformance.wire import Core, CoreLink
 from canopen_device.core.node import Device
+from canopen_device.testing import MemoryStore
 from tipforce.dictionary.eds import eds_text
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
@@ -33,14 +34,8 @@ def run_in_process(case: Case, device: Core | None = None) -> tuple[Result, Core
 
 def core_node() -> Device:
     """Return a node with 3 gauges, case I, no noise, a store in memory."""
-    source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist())
-    stored: dict[str, bytes] = {}
-
-    def save(group: str, data: bytes) -> bool:
-        stored[group] = data
-        return True
-
-    return fingertip_node(NODE_ID, source, 3, SERIAL, save, stored.get, core_eds())
+    source, store = SimulatedSource(strain_matrix(FABRICATED, "I").tolist()), MemoryStore()
+    return fingertip_node(NODE_ID, source, 3, SERIAL, store.save, store.load, core_eds())
 
 
 @cache

@@ -1,9 +1,6 @@
 """canopen_conformance copied alone, beside python-can: it needs nothing else of this installation."""
 
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -11,7 +8,7 @@ import pytest
 import canopen_conformance
 from canopen_conformance.__main__ import main
 from canopen_conformance.case import all_cases
-from device.test_alone import link_packages
+from device.test_alone import alone
 
 # A device in a thread, and the command line in the main thread, on one virtual bus.
 ON_A_BUS = """
@@ -39,32 +36,24 @@ sys.exit(code)
 """
 
 
-@pytest.fixture(scope="module")
-def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the package and python-can."""
-    folder = tmp_path_factory.mktemp("alone")
+def conformance(folder: Path, code: str) -> list[str]:
+    """What Python prints where there is nothing but the package, a device and python-can; a warning is an error."""
     shutil.copytree(Path(canopen_conformance.__file__).parent, folder / "canopen_conformance")
     shutil.copy(Path(__file__).with_name("minimal.py"), folder)
-    link_packages(folder, "python-can")
-    return folder
+    return alone(folder, f"import warnings; warnings.simplefilter('error')\n{code}", "python-can").splitlines()
 
 
-def run(environment: Path, *words: str) -> str:
-    variables = {**os.environ, "PYTHONPATH": str(environment)}
-    command = [sys.executable, "-S", "-W", "error", *words]
-    done = subprocess.run(command, cwd=environment, env=variables, text=True, capture_output=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+def test_nothing_else_is_there(tmp_path: Path) -> None:
+    others = ("tipforce", "tipforce_tools", "numpy", "canopen", "rich")
+    code = f"import importlib.util as i; print([name for name in {others} if i.find_spec(name)])"
+    assert conformance(tmp_path, code) == ["[]"]
 
 
-def test_nothing_else_is_there(environment: Path) -> None:
-    for name in ("tipforce", "tipforce_tools", "numpy", "canopen", "rich"):
-        assert "no" in run(environment, "-c", f"import importlib.util as i; print(i.find_spec({name!r}) or 'no')")
-
-
-def test_help_and_list(environment: Path) -> None:
-    assert "--persistent" in run(environment, "-m", "canopen_conformance", "--help")
-    assert len(run(environment, "-m", "canopen_conformance", "--list").splitlines()) == len(all_cases())
+def test_help_and_list(tmp_path: Path) -> None:
+    code = "import runpy, sys; sys.argv[1:] = ['{}']; runpy.run_module('canopen_conformance', None, '__main__')"
+    helped, listed = (conformance(tmp_path / flag, code.format(flag)) for flag in ("--help", "--list"))
+    assert any("--persistent" in line for line in helped)
+    assert len(listed) == len(all_cases())
 
 
 def test_mistakes_of_the_user_are_one_line(capsys: pytest.CaptureFixture[str]) -> None:
@@ -73,5 +62,5 @@ def test_mistakes_of_the_user_are_one_line(capsys: pytest.CaptureFixture[str]) -
         assert len(capsys.readouterr().err.splitlines()) == 1
 
 
-def test_a_device_on_a_bus(environment: Path) -> None:
-    assert " 0 failed" in run(environment, "-c", ON_A_BUS).splitlines()[-1]
+def test_a_device_on_a_bus(tmp_path: Path) -> None:
+    assert " 0 failed" in conformance(tmp_path, ON_A_BUS)[-1]

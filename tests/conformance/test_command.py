@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import can
 import pytest
 from bench.documents import case_counts, filled
 
@@ -16,9 +15,8 @@ from canopen_conformance.case import Case, CheckError, LostDeviceError, clause_k
 from canopen_conformance.dut import Dut
 from canopen_conformance.run import FAIL, PASS, Result, lines, run_case, run_on, summary
 from canopen_conformance.wire import CoreLink
-from canopen_device.running import loop
-from canopen_device.running.open_bus import PythonCanPort
 from conformance.fingertip import all_cases, core_node, matching, run_in_process
+from host.bus_with_nodes import running
 from tipforce_tools.cli.main import main
 
 CHANNEL = "conformance"
@@ -30,7 +28,7 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "conformance.md"
 @pytest.fixture
 def node() -> Iterator[None]:
     """Node 5 on a virtual bus, in a thread."""
-    with can.Bus(interface="virtual", channel=CHANNEL) as bus, loop.running([core_node()], PythonCanPort(bus)):
+    with running([core_node()], CHANNEL):
         yield
 
 
@@ -133,15 +131,12 @@ def test_clauses_are_ordered_by_their_numbers() -> None:
     assert sorted(clauses, key=clause_key)[:2] == ["CiA 301 7.2.4.3.9", "CiA 301 7.2.4.3.13"]
 
 
-def test_silence_finds_what_came_before_too() -> None:
+def test_silence_finds_what_came_before_too_and_a_time_out_names_what_was_expected() -> None:
     dut = Dut(CoreLink(core_node()), 5)
     dut.send(0x605, "40 00 10 00 00 00 00 00")
     with pytest.raises(CheckError, match="expected silence; got 585#43"):
         dut.silence()
 
-
-def test_time_out_names_what_was_expected() -> None:
-    dut = Dut(CoreLink(core_node()), 5)
     with pytest.raises(CheckError, match="a frame 185h 01 within 50 ms; got none"):
         dut.expect(0x185, "01", 50)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -50,13 +51,11 @@ def test_every_gauge_is_in_exactly_one_default_tpdo() -> None:
 
 def test_the_calibration_record_of_three_gauges() -> None:
     staged = [row for row in entries(3).values() if row.flags & table.STAGED]
-    expected = [(0x2100, s) for s in range(1, 10)] + [(0x2101, s) for s in range(1, 4)]
-    expected += [(0x2102, s) for s in range(1, 5)] + [(0x2106, s) for s in range(1, 7)]
-    expected += [(0x2110, s) for s in range(1, 7)] + [(0x2112, s) for s in range(1, 6)]
-    expected += [(0x2113, s) for s in range(1, 4)] + [(0x2114, s) for s in range(1, 4)] + [(0x2115, 0), (0x2116, 0)]
-    assert [(row.index, row.sub) for row in staged] == expected
+    arrays = {0x2100: 9, 0x2101: 3, 0x2102: 4, 0x2106: 6, 0x2110: 6, 0x2112: 5, 0x2113: 3, 0x2114: 3}
+    expected = [(index, sub) for index, count in arrays.items() for sub in range(1, count + 1)]
+    assert [(row.index, row.sub) for row in staged] == [*expected, (0x2115, 0), (0x2116, 0)]
     assert table_objects.staged(3) == tuple((row.index, row.sub, row.type) for row in staged)
-    sizes = dict.fromkeys((index for index, _ in expected), 0)
+    sizes: Counter[int] = Counter()
     for row in staged:
         sizes[row.index] += types.data_type(row.type).size or 0
     assert list(sizes.values()) == [36, 12, 13, 24, 21, 20, 12, 12, 4, 4]

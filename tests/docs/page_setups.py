@@ -11,37 +11,39 @@ import struct
 import threading
 import time
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import can
 import numpy as np
 import pytest
+from bench.measure import background
 
 import tipforce
-from canopen_device.running import loop
-from canopen_device.running.open_bus import PythonCanPort
 from canopen_device.running.store import FileStore
+from canopen_device.testing import Conversation, MemoryStore, text
 from docs.runner import Terminal
+from fingertip.finger import forces
+from host.bus_with_nodes import beam_calibration, new_channel, running
 from sources.iio_tree import Tree
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.sensor import Readings
 from tipforce.sensor.calibration.simulation import simulate
 from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix, strain_matrix
+from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
 from tipforce.sources import iio_sysfs
 from tipforce.sources.iio_gauges import Capture, open_iio
 from tipforce.sources.layout_file import read_bridge
 from tipforce.sources.simulated import SimulatedSource
 from tipforce_tools.doctor import machine
+from tools.rig import message as can_message
 from tools.rig import write_readings
 
 Names = dict[str, Any]
 Setup = Callable[[], contextlib.AbstractContextManager[Names]]
 SETUPS: dict[str, Setup] = {}
-_CHANNELS = itertools.count()
 
 
 def setup(page: str) -> Callable[[Callable[[], Iterator[Names]]], Setup]:
@@ -62,15 +64,22 @@ def logs_of_fingers() -> Iterator[Names]:
     yield {}
 
 
+def pdos(t_s: float, node: int, counter: int, status: int, **values: Sequence[int]) -> list[str]:
+    """Lines of candump with a finger's ``gauges`` and ``contact``, those that are given."""
+    bases = {"gauges": 0x180, "contact": 0x280}
+    data = {bases[name] + node: struct.pack("<hhhBB", *each, status, counter % 256) for name, each in values.items()}
+    return [f"({t_s:.6f}) can0 {can_id:03X}#{each.hex().upper()}" for can_id, each in data.items()]
+
+
 def write_log_of_one_finger() -> None:
     """Node 5 at 100 Hz for 1 s: 1.5 N until 0.6 s, then no contact; samples 40 to 42 are missing, heartbeats twice."""
     lines = [f"({1_700_000_000 + t:.6f}) can0 705#05" for t in (0.001, 0.501)]
     for k in range(100):
         t = 1_700_000_000 + k / 100
-        contact = (1500, 9000, 4500, 0x03) if k < 60 else (5, -32768, -32768, 0x12)
+        status, contact = (0x03, (1500, 9000, 4500)) if k < 60 else (0x12, (5, -32768, -32768))
         lines.append(f"({t:.6f}) can0 080#")
         if not 40 <= k < 43:
-            lines.append(f"({t + 0.0002:.6f}) can0 285#{struct.pack('<hhhBB', *contact, k).hex().upper()}")
+            lines += pdos(t + 0.0002, 5, k, status, contact=contact)
     Path("run.log").write_text("\n".join(sorted(lines)) + "\n")
 
 
@@ -85,11 +94,10 @@ def write_two_days_of_two_fingers() -> None:
                 touched = k % 100 < 20 * node
                 if (day, node) == (1, 2) and k in (50, 51):
                     continue
-                contact = (1000 * node + k, 9000, 4500, 0x03) if touched else (0, -32768, -32768, 0x02)
-                gauges = (300 * node if touched else 20 * day * node, 10, -10, contact[3])
-                for base, words in ((0x180, gauges), (0x280, contact)):
-                    data = struct.pack("<hhhBB", *words, (k + 300 * day) % 256).hex().upper()
-                    lines.append(f"({t + 0.0001 * node:.6f}) can0 {base + node:03X}#{data}")
+                contact = (1000 * node + k, 9000, 4500) if touched else (0, -32768, -32768)
+                gauges = (300 * node if touched else 20 * day * node, 10, -10)
+                status = 0x03 if touched else 0x02
+                lines += pdos(t + 0.0001 * node, node, k + 300 * day, status, gauges=gauges, contact=contact)
         lines.append(f"({t + 1:.6f}) can0 702#00")
         Path(f"day-{day + 1}.log").write_text("\n".join(lines) + "\n")
 
@@ -97,7 +105,7 @@ def write_two_days_of_two_fingers() -> None:
 @contextlib.contextmanager
 def default_bus() -> Iterator[dict[str, Any]]:
     """A bus inside this process that python-can's configuration names."""
-    bus = {"interface": "virtual", "channel": f"docs-{next(_CHANNELS)}"}
+    bus = {"interface": "virtual", "channel": new_channel()}
     with pytest.MonkeyPatch.context() as patch:
         for key, value in bus.items():
             patch.setitem(can.rc, key, value)
@@ -111,57 +119,41 @@ def fingers_on_default_bus(*node_ids: int) -> Iterator[None]:
         yield
 
 
-class SerialAdapter:
-    """A USB adapter with the slcan protocol (Lawicel): a pseudo-terminal on one side, a bus on the other."""
+@contextlib.contextmanager
+def serial_adapter(bus: can.BusABC) -> Iterator[str]:
+    """A USB adapter with the slcan protocol (Lawicel) on a bus: the path of its pseudo-terminal."""
+    master, terminal = pty.openpty()
+    tty.setraw(terminal)
 
-    def __init__(self, bus: can.BusABC) -> None:
-        self.bus = bus
-        self.master, self.terminal = pty.openpty()
-        tty.setraw(self.terminal)
-        self.path = os.ttyname(self.terminal)
-        self.is_open = False
-        self.stopped = threading.Event()
-        self.thread = threading.Thread(target=self._work)
-        self.thread.start()
-
-    def _work(self) -> None:
-        received = b""
-        while not self.stopped.is_set():
-            if select.select([self.master], [], [], 0.001)[0]:
-                *commands, received = (received + os.read(self.master, 4096)).split(b"\r")
-                for command in commands:
-                    self._command(command.decode())
-            while (message := self.bus.recv(0)) is not None:
-                if self.is_open:
+    def work(stop: threading.Event) -> None:
+        received, is_open = b"", False
+        while not stop.is_set():
+            if select.select([master], [], [], 0.001)[0]:
+                *commands, received = (received + os.read(master, 4096)).split(b"\r")
+                for command in map(bytes.decode, commands):
+                    if command[:1] in ("O", "C"):
+                        is_open = command == "O"
+                    elif command[:1] == "t":
+                        bus.send(can_message(int(command[1:4], 16), bytes.fromhex(command[5:])))
+            while (message := bus.recv(0)) is not None:
+                if is_open:
                     line = f"t{message.arbitration_id:03X}{message.dlc}{message.data.hex().upper()}\r"
-                    os.write(self.master, line.encode())
+                    os.write(master, line.encode())
 
-    def _command(self, command: str) -> None:
-        if command[:1] in ("O", "C"):
-            self.is_open = command == "O"
-        elif command[:1] == "t":
-            data = bytes.fromhex(command[5:])
-            self.bus.send(can.Message(arbitration_id=int(command[1:4], 16), data=data, is_extended_id=False))
-
-    def close(self) -> None:
-        """End it."""
-        self.stopped.set()
-        self.thread.join()
-        self.bus.shutdown()
-        os.close(self.master)
-        os.close(self.terminal)
+    with bus, background(work):
+        yield os.ttyname(terminal)
+    os.close(master)
+    os.close(terminal)
 
 
 @setup("adapter.md")
 def finger_behind_a_serial_adapter() -> Iterator[Names]:
     """Node 5 under 1.95 N, which the noise never shows as 2, behind /dev/ttyACM0."""
     pytest.importorskip("serial")
-    with default_bus() as bus, tipforce.simulated_hand([5], {5: (1.95, 90.0, 45.0)}, **bus):
-        adapter, terminal = SerialAdapter(can.Bus(**bus)), Terminal()
-        try:
-            yield {"shell": lambda line: terminal(line.replace("/dev/ttyACM0", adapter.path))}
-        finally:
-            adapter.close()
+    finger = {5: (1.95, 90.0, 45.0)}
+    with default_bus() as bus, tipforce.simulated_hand([5], finger, **bus), serial_adapter(can.Bus(**bus)) as path:
+        terminal = Terminal()
+        yield {"shell": lambda line: terminal(line.replace("/dev/ttyACM0", path))}
 
 
 @setup("hand.md")
@@ -184,8 +176,7 @@ def simulated_calibration() -> Iterator[Names]:
 
 def beam_record(noise_strain: float, serial: int) -> Calibration:
     """Gauge case I as beam theory has it."""
-    C, covariance = calibration_matrix(FABRICATED, "I"), np.eye(3) * noise_strain**2
-    return Calibration(C, np.zeros(3), covariance, serial=serial, date=20261121, layout_code=1, pull=True)
+    return beam_calibration(covariance_strain2=np.eye(3) * noise_strain**2, serial=serial, date=20261121)
 
 
 class Bench:
@@ -209,9 +200,7 @@ class Bench:
 
     def hang(self, P_newtons: float, phi_deg: float, theta_deg: float) -> None:
         """Put a load on the tip."""
-        phi, delta = math.radians(phi_deg), math.radians(phi_deg - theta_deg)
-        F = [P_newtons * math.sin(phi), P_newtons * math.sin(delta), P_newtons * math.cos(phi)]
-        self.gauges_read((1e6 * strain_matrix(FABRICATED, "I") @ F).tolist())
+        self.gauges_read((1e6 * strain_matrix(FABRICATED, "I") @ forces((P_newtons, phi_deg, theta_deg))).tolist())
 
     def start_node(self) -> None:
         """`tipforce node` with finger.toml, in a thread."""
@@ -219,8 +208,7 @@ class Bench:
         source = open_iio("spi0.0", "finger.toml", 3, bridge, Capture("poll"), self.devices)
         store = FileStore(Path("node-5.json").absolute())
         device = fingertip_node(5, source, serial=5, save=store.save, load=store.load)
-        bus = self.node.enter_context(can.Bus(**self.bus))
-        self.node.enter_context(loop.running([device], PythonCanPort(bus)))
+        self.node.enter_context(running([device], self.bus["channel"]))
         time.sleep(0.15)
 
     def stop_node(self) -> None:
@@ -263,32 +251,25 @@ class ByteByByte:
     def __init__(self) -> None:
         self.source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist())
         self.source.load = (4.4, 90.0, 45.0)
-        flash: dict[str, bytes] = {}
-        self.device = fingertip_node(
-            5, self.source, save=lambda group, data: not flash.update({group: data}), load=flash.get
-        )
-        self.now_us = 0
+        flash = MemoryStore()
+        self.talk = Conversation(fingertip_node(5, self.source, save=flash.save, load=flash.load), emcy=True)
         self.record = beam_record(0.5e-6, serial=7).record()
 
     def __call__(self, line: str) -> None:
         """Run one line of the page."""
-        frames = []
         if line != "# power on":
-            program, channel, frame = line.split()
-            assert (program, channel) == ("cansend", "can0")
-            identifier, digits = frame.split("#")
-            frames = [(int(identifier, 16), bytes.fromhex(digits))]
-            self.now_us += 1000
-        for can_id, data in self.device.step(self.now_us, frames)[0]:
-            print(f"{can_id:03X}#{data.hex().upper()}")
+            assert line.startswith("cansend can0 ")
+            self.talk.now_us += 1000
+            self.talk.send(line.split()[2])
+        for frame in self.talk.take():
+            print(text(frame))
 
     def send_segments(self, first: int, end: int) -> None:
         """The segments of the record that the page leaves out; each must be confirmed."""
         for k in range(first, end):
-            segment = bytes([(k % 2) << 4]) + self.record[7 * k : 7 * k + 7]
-            assert self.device.step(self.now_us, [(0x605, segment)])[0] == [
-                (0x585, bytes([0x20 | (k % 2) << 4] + [0] * 7))
-            ]
+            toggle, segment = (k % 2) << 4, self.record[7 * k : 7 * k + 7]
+            self.talk.step([(0x605, bytes((toggle,)) + segment)])
+            assert self.talk.take() == [(0x585, bytes((0x20 | toggle,)) + bytes(7))]
 
 
 @setup("protocol.md")

@@ -106,17 +106,17 @@ def run_page(page: Path, names: dict[str, Any]) -> doctest.TestResults:
     return doctest.DocTestRunner(optionflags=FLAGS).run(test)
 
 
+def shell_lines(text: str, *languages: str) -> list[str]:
+    """The lines of a text's blocks of sh, and of other languages, without comments."""
+    blocks = [block[2] for block in _BLOCK.finditer(text) if block[2] and block[1].split(" ")[0] in ("sh", *languages)]
+    lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
+    return [re.split(r" +# ", f"{line} # ")[0] for line in lines]
+
+
 def command_lines(page: Path) -> list[str]:
     """The ``tipforce`` commands in a page's blocks of sh or of no language, without redirections and comments."""
-    lines: list[str] = []
-    for block in _BLOCK.finditer(page.read_text()):
-        if block[2] and block[1].split()[:1] in (["sh"], []):
-            for line in block[2].replace("\\\n", " ").splitlines():
-                for part in re.split(r" [|&>] | ?&$|;", line.split(" # ")[0]):
-                    words = part.strip()
-                    if words.startswith("tipforce "):
-                        lines.append(words)
-    return lines
+    parts = [part.strip() for line in shell_lines(page.read_text(), "") for part in re.split(r" [|&>] | ?&$|;", line)]
+    return [words for words in parts if words.startswith("tipforce ")]
 
 
 def check_command(words: list[str]) -> None:

@@ -9,15 +9,14 @@ import os
 import re
 import shlex
 import shutil
-import struct
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from docs.page_setups import SETUPS, beam_record
-from docs.runner import Terminal, check_command, command_lines, examples, run_page
+from docs.page_setups import SETUPS, beam_record, pdos
+from docs.runner import Terminal, check_command, command_lines, examples, run_page, shell_lines
 from tipforce.host.configuration.calibration import write_calibration
 from tools.rig import in_namespace
 
@@ -38,12 +37,6 @@ def test_documented_examples_run(path: Path, tmp_path: Path, monkeypatch: pytest
 
 
 @every_document
-def test_no_document_expects_a_checksum_of_computed_numbers(path: Path) -> None:
-    """It turns over with the last bit of one of them, and those differ between versions of numpy."""
-    assert re.findall(r"CRC-32:? 0x[0-9A-Fa-f]{8}", path.read_text()) == []
-
-
-@every_document
 def test_documented_commands_parse(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     for line in command_lines(path):
@@ -55,12 +48,14 @@ def test_documented_commands_parse(path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 @every_document
-def test_no_example_is_outside_a_block(path: Path) -> None:
+def test_no_example_is_outside_a_block_or_expects_a_checksum_of_computed_numbers(path: Path) -> None:
+    """It turns over with the last bit of one of them, and those differ between versions of numpy."""
     inside = sum(example.source.count("\n") > 0 for example in examples(path) if "shell(" not in example.source)
     text = path.read_text()
     outside = re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
     assert ">>> " not in outside
     assert inside or ">>> " not in text
+    assert re.findall(r"CRC-32:? 0x[0-9A-Fa-f]{8}", text) == []
 
 
 def test_documents_and_their_set_ups_are_found() -> None:
@@ -86,7 +81,6 @@ def test_a_wrong_output_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert "beta" in report.getvalue()
 
 
-_BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 PIPED = "candump -L can0 | tipforce "
 """candump is a script here that prints run.log."""
 NEEDS = {
@@ -100,12 +94,6 @@ NEEDS = {
 """Why a line is not run here. tests/vcan and tests/docs/test_python_page.py run some of them."""
 
 
-def lines_of(page: Path) -> list[str]:
-    """The lines of the page's shell blocks, without comments."""
-    blocks = [body for info, body in _BLOCK.findall(page.read_text(encoding="utf-8")) if info.split()[:1] == ["sh"]]
-    return [re.split(r" +# ", f"{line} # ")[0] for block in blocks for line in block.splitlines()]
-
-
 def is_run(line: str) -> bool:
     return line.startswith(PIPED) or not any(re.search(pattern, line) for pattern in NEEDS.values())
 
@@ -113,7 +101,7 @@ def is_run(line: str) -> bool:
 PAGES = {
     page.name: lines
     for page in sorted((ROOT / "docs").glob("*.md"))
-    if page.name != "ci.md" and (lines := list(filter(is_run, lines_of(page))))
+    if page.name != "ci.md" and (lines := list(filter(is_run, shell_lines(page.read_text(encoding="utf-8")))))
 }
 
 
@@ -126,10 +114,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
         t = 1_700_000_000 + k / 20
         lines.append(f"({t:.6f}) can0 080#")
         for node in (1, 5):
-            gauges = struct.pack("<hhhBB", -1250 + k % 7, 7287 - k % 5, 3236 + k % 3, 3, k % 256)
-            contact = struct.pack("<hhhBB", 4400 + k % 9, 9000, 4500, 3, k % 256)
-            lines += [f"({t + 0.0002:.6f}) can0 {can_id + node:03X}#{data.hex().upper()}"
-                      for can_id, data in ((0x180, gauges), (0x280, contact))]  # fmt: skip
+            gauges = -1250 + k % 7, 7287 - k % 5, 3236 + k % 3
+            lines += pdos(t + 0.0002, node, k, 3, gauges=gauges, contact=(4400 + k % 9, 9000, 4500))
     text = "\n".join(lines) + "\n"
     (folder / "logs").mkdir()
     for name in ("run.log", "thumb.log"):
@@ -178,7 +164,7 @@ def test_each_kind_of_line_is_run_somewhere() -> None:
 def test_the_bus_over_udp_is_pasted(tmp_path: Path) -> None:
     """With the route that the page names, in a network namespace with loopback only."""
     page = (ROOT / "docs" / "ci.md").read_text(encoding="utf-8")
-    block = _BLOCK.findall(page[page.index("## A bus without kernel CAN") :])[0][1]
+    block = page[page.index("## A bus without kernel CAN") :].split("```sh\n")[1].split("```")[0]
     route = re.search(r"`sudo (ip link set lo up) && sudo (ip route add [^`]*)`", page)
     assert route is not None
     pasted = "\n".join([*route.groups(), block, "tipforce sdo read 5 simulation.P", "kill %1", "wait"])

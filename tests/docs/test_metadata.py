@@ -18,9 +18,14 @@ THEIRS = ROOT / "docs" / "examples" / "vcan-ci.yml"
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 
-def test_the_citation_is_that_of_the_project() -> None:
+def loaded(path: Path) -> Any:
+    """The content of a YAML file."""
     yaml = pytest.importorskip("yaml")  # of the extra `docs`
-    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    return yaml.safe_load(path.read_text())
+
+
+def test_the_citation_is_that_of_the_project() -> None:
+    citation = loaded(ROOT / "CITATION.cff")
     assert {"cff-version", "message", "title", "authors", "version", "license"} <= set(citation)
     assert citation["version"] == PYPROJECT["project"]["version"]
     assert citation["license"] == PYPROJECT["project"]["license"]
@@ -28,12 +33,10 @@ def test_the_citation_is_that_of_the_project() -> None:
 
 
 def test_issue_forms_are_complete() -> None:
-    yaml = pytest.importorskip("yaml")
     forms = [form for form in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml") if form.stem != "config"]
     assert len(forms) >= 2
-    for form in forms:
-        content = yaml.safe_load(form.read_text())
-        assert {"name", "description", "body"} <= set(content), form
+    for content in map(loaded, forms):
+        assert {"name", "description", "body"} <= set(content), content
         for field in content["body"]:
             assert {"type", "id", "attributes"} <= set(field)
             assert field["attributes"]["label"]
@@ -73,8 +76,7 @@ def test_the_readme_names_every_system_package() -> None:
 
 
 def steps_of(path: Path) -> list[dict[str, Any]]:
-    yaml = pytest.importorskip("yaml")  # of the extra `docs`
-    [job] = yaml.safe_load(path.read_text())["jobs"].values()
+    [job] = loaded(path)["jobs"].values()
     return list(job["steps"])
 
 

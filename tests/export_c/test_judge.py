@@ -35,7 +35,6 @@ VERDICT = np.dtype(
 BAND_CHI_SQUARE, BAND_FORCE = 1e-3, 1e-5
 """Relative: within it single precision may decide otherwise (docs/uncertainty.md)."""
 
-Export = Callable[..., tuple[int, str, str]]
 SETTINGS = """
 [objects]
 "heartbeat.producer_ms" = 250
@@ -147,30 +146,25 @@ def test_float_and_double_differ_only_in_a_band_around_a_limit(library: Librarie
             assert double[0] >> 12 & 1 == (side < 0)
 
 
-@pytest.fixture
-def export(capsys: pytest.CaptureFixture[str]) -> Export:
-    def run(*words: object) -> tuple[int, str, str]:
-        return (main(["export", *(str(word) for word in words)]), *capsys.readouterr())
-
-    return run
-
-
-def test_export_c(export: Export, tmp_path: Path) -> None:
-    code, out, err = export("c", "--gauges", 4, "--bits", 24, "-o", tmp_path / "made" / "here")
-    assert (code, out) == (0, "")
-    written = {path.name: path.read_text() for path in (tmp_path / "made/here").iterdir()}
-    assert written == c_files(4, CONVERTER_24)
+def test_export_c(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    folder = tmp_path / "made" / "here"
+    assert main(["export", "c", "--gauges", "4", "--bits", "24", "-o", str(folder)]) == 0
+    out, err = capsys.readouterr()
+    written = {path.name: path.read_text() for path in folder.iterdir()}
+    assert (out, written) == ("", c_files(4, CONVERTER_24))
     assert "#define TIPFORCE_GAUGES 4" in written["tipforce_od.h"]
     assert len(err.splitlines()) == len(written)
 
 
-def test_export_dcf(export: Export, tmp_path: Path) -> None:
-    assert export("dcf", "--node-id", "0x0A") == (0, dcf_text(3, 10, {}), "")
-    settings, dcf = tmp_path / "settings.toml", tmp_path / "node.dcf"
+def test_export_dcf(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    export, settings, dcf = ["export", "dcf", "--node-id"], tmp_path / "settings.toml", tmp_path / "node.dcf"
+    assert main([*export, "0x0A"]) == 0
+    assert capsys.readouterr() == (dcf_text(3, 10, {}), "")
     settings.write_text(SETTINGS)
-    assert export("dcf", "--node-id", 5, "--settings", settings, "-o", dcf)[0] == 0
+    assert main([*export, "5", "--settings", str(settings), "-o", str(dcf)]) == 0
     assert read_configuration(dcf, 5) == read_configuration(settings, 5)
-    assert export("dcf", "--node-id", 5, "--settings", dcf)[1] == dcf.read_text()
+    assert main([*export, "5", "--settings", str(dcf)]) == 0
+    assert capsys.readouterr().out == dcf.read_text()
 
 
 # What its reader (libEDSsharp, CanOpenEDS.cs) does with a file, where that can make it refuse, warn or lose something.

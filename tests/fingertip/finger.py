@@ -3,11 +3,11 @@
 import binascii
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 from canopen_device.core.node import Device
-from canopen_device.testing import Conversation
+from canopen_device.testing import Conversation, Frame
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.source import Source
 from tipforce.sources.simulated import SimulatedSource
@@ -16,6 +16,7 @@ NODE_ID = 5
 COMMIT, OPEN, ZERO, TARA = 0x74696D63, 0x6E65706F, 0x6F72657A, 0x61726174
 SAVE, LOAD = 0x65766173, 0x64616F6C
 UNKNOWN = -0x8000
+HUSHED = (UNKNOWN,) * 3
 CONTACT, CALIBRATED, SATURATED, STALE, UNRESOLVED, MISSES, OUTSIDE, FAULT = (1 << bit for bit in range(8))
 PUSH = (1.0, 175.0, 10.0)  # P, phi, theta: within the friction cone of a push, theta in the middle of the pad
 PERIOD_US = 500
@@ -64,6 +65,11 @@ def record(
     return struct.pack(packing(n), *values)
 
 
+def flipped(data: bytes, bit: int) -> bytes:
+    """Data with one wrong bit."""
+    return data[: bit // 8] + bytes((data[bit // 8] ^ 1 << bit % 8,)) + data[bit // 8 + 1 :]
+
+
 class Pdos(NamedTuple):
     """TPDO1 and TPDO2 of one SYNC."""
 
@@ -73,6 +79,14 @@ class Pdos(NamedTuple):
     """P in mN, phi and theta in 0.01 degree."""
     status: int
     counter: int
+
+
+def pdos_of(frames: Iterable[Frame]) -> Pdos:
+    """What a node's TPDO1 and TPDO2 among frames carry; both must have the same status and counter."""
+    found = dict(frames)
+    one, two = (struct.unpack("<hhhBB", found[can_id]) for can_id in _PDOS)
+    assert one[3:] == two[3:]
+    return Pdos(one[:3], two[:3], one[3], one[4])
 
 
 class Finger(Conversation):
@@ -92,13 +106,11 @@ class Finger(Conversation):
         return dict(self.take())
 
     def sync(self, after_us: int = 1000) -> Pdos:
-        """A SYNC after some time; both TPDOs must carry the same status and counter."""
+        """What a SYNC after some time brings in TPDO1 and TPDO2."""
         self.now_us += after_us
-        sent = dict(self.step([(0x80, b"")]))
+        sent = self.step([(0x80, b"")])
         self.sent = [frame for frame in self.sent if frame[0] not in _PDOS]
-        one, two = (struct.unpack("<hhhBB", sent[can_id]) for can_id in _PDOS)
-        assert one[3:] == two[3:]
-        return Pdos(one[:3], two[:3], one[3], one[4])
+        return pdos_of(sent)
 
     def emcy(self) -> list[int]:
         """The codes of the EMCY messages since the last call, of a conversation that shows them."""
@@ -140,4 +152,11 @@ def finger(
     if calibrated:
         assert talk.stage(calibrated if isinstance(calibrated, bytes) else record(n)) == 0
         assert talk.commit() == 0
+    return talk
+
+
+def filtered(kind: int, constant: int, **options: Any) -> Finger:
+    """A finger with one filter for all gauges."""
+    talk = finger(**options)
+    assert talk.put("H", 0x61A1, 1, constant) == talk.put("B", 0x61A0, 1, kind) == 0
     return talk

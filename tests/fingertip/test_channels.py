@@ -10,7 +10,6 @@ from fingertip import finger as rig
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sources.simulated import SimulatedSource
 
-SETTINGS = (0x120, 0x121, 0x122, 0x123, 0x124, 0x133, 0x134, 0x135, 0x136, 0x148, 0x149)
 F = rig.forces(rig.PUSH)
 
 
@@ -46,39 +45,13 @@ def test_flat_scaling_never_raises() -> None:
     assert talk.put("f", 0x6123, 1, 1000.0) == 0
 
 
-def test_absurd_scaling_and_calibration_never_raise() -> None:
-    rng = random.Random(20)
-    talk = rig.finger(load=rig.PUSH)
-    assert talk.put("f", 0x2105, 1, 1e30) == 0
-    for k in range(300):
-        # A number from the far ends of REAL32 in a random setting: the node may take or refuse it.
-        number = rng.choice([3.4e38, -3.4e38, 1e-45, -1e-45, 0.0, 1.0, 1e20])
-        talk.put("f", 0x6000 + rng.choice(SETTINGS), rng.randint(1, 3), number)
-        C = [[rng.choice([3.4e38, -3.4e38, 1e-45, 1.0, 0.0]) for _ in range(3)] for _ in range(3)]
-        data = rig.record(C=C, noise_strain=rng.choice([1e-22, 1e-8, 1e18]), tip=(3e38, -3e38, 3e38, 0.0, 0.0, k % 2))
-        talk.stage(data)
-        talk.commit()
-        talk.put("H", 0x2130, 0, k % 4)
-        assert len(struct.pack("<3h", *talk.sync().contact)) == 6
-        for index in (0x6130, 0x7130, 0x9130):
-            assert all(isinstance(talk.upload(index, sub), bytes) for sub in range(1, 10))
-        assert all(isinstance(talk.upload(0x2107, sub), bytes) for sub in (1, 2, 3))
-        talk.upload(0x2123)
-
-
 @pytest.mark.parametrize("n", [3, 5])
 def test_a_mapping_read_at_once_has_the_values_of_each_entry(n: int) -> None:
     """The default PDOs are packed by one function; it must give what the entries give one by one."""
     talk, pick = rig.finger(n), random.Random(5)
     od = talk.device.od
-    loads = [
-        rig.PUSH,
-        (0.0, 0.0, 0.0),
-        (40.0, 90.0, 0.0),
-        (1.0, 180.0, 170.0),
-        (30.0, -179.998, -170.0),
-        (25.0, 0.0, 90.0),
-    ]
+    loads = [rig.PUSH, (0.0, 0.0, 0.0), (40.0, 90.0, 0.0), (1.0, 180.0, 170.0), (30.0, -179.998, -170.0)]
+    loads += [(25.0, 0.0, 90.0)]
     angle = (-180.0, 180.0)
     loads += [(10.0 ** pick.uniform(-3.0, 1.7), pick.uniform(*angle), pick.uniform(*angle)) for _ in range(60)]
     for k, load in enumerate(loads):

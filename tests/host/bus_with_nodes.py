@@ -77,37 +77,23 @@ def connected(
 
 
 def finger(
-    node_id: int = 5,
-    case: str = "I",
-    store: Path | None = None,
-    noise_microstrain: float = 0.0,
-    seed: int = 1,
-    *,
+    node_id: int = 5, case: str = "I", store: Path | None = None, noise_microstrain: float = 0.0, seed: int = 1, *,
     serial: int = 0,
-) -> Device:
+) -> Device:  # fmt: skip
     """A simulated fingertip; without noise, unless asked for. Its serial number is 1000 + node-id, unless given."""
     source = SimulatedSource(strain_matrix(FABRICATED, case).tolist(), noise_microstrain, seed=seed)
     files = None if store is None else FileStore(store)
-    return fingertip_node(
-        node_id,
-        source,
-        serial=serial or 1000 + node_id,
-        save=files.save if files else None,
-        load=files.load if files else None,
-    )
+    hooks: dict[str, Any] = {} if files is None else {"save": files.save, "load": files.load}
+    return fingertip_node(node_id, source, serial=serial or 1000 + node_id, **hooks)
 
 
 def beam_calibration(case: str = "I", /, **changes: Any) -> Calibration:
     """What beam theory gives for a case; pull, as in a groove."""
     fields: dict[str, Any] = {
-        "C": calibration_matrix(FABRICATED, case),
-        "offset_strain": np.zeros(3),
-        "covariance_strain2": np.eye(3) * ROUNDING_STRAIN2,
-        "serial": 7,
-        "date": 20260102,
-        "layout_code": {"I": 1, "II": 2, "III": 3}[case],
-        "pull": True,
-    }
+        "C": calibration_matrix(FABRICATED, case), "offset_strain": np.zeros(3),
+        "covariance_strain2": np.eye(3) * ROUNDING_STRAIN2, "serial": 7, "date": 20260102,
+        "layout_code": {"I": 1, "II": 2, "III": 3}[case], "pull": True,
+    }  # fmt: skip
     return Calibration(**(fields | changes))
 
 

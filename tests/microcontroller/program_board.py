@@ -3,6 +3,7 @@
 import contextlib
 import io
 from collections.abc import Iterable, Iterator
+from functools import partial
 from typing import Any
 
 import can
@@ -37,42 +38,37 @@ class Flash:
 
     def __init__(self) -> None:
         self.programs = [bytearray(), bytearray()]
-        self.records = [b"", b""]
+        self.records = [bytearray(), bytearray()]
         self.left = 1 << 60
         self.written = 0
 
-    def _spend(self, data: bytes) -> bytes:
+    def add(self, content: bytearray, data: bytes) -> None:
+        """Append as much as there is power for."""
         part = data[: self.left]
         self.left -= len(part)
         self.written += len(part)
-        return part
+        content += part
+        if len(part) < len(data):
+            raise PowerOffError
 
     def open(self, slot: int, mode: str) -> Any:
         if mode == "rb":
             return io.BytesIO(bytes(self.programs[slot]))
-        if not self._spend(b"\xff"):
-            raise PowerOffError
+        self.add(bytearray(), b"\xff")
         self.programs[slot] = bytearray()
-        return Writer(self, slot)
+        return Writer(self, self.programs[slot])
 
     def read(self, slot: int) -> bytes:
-        return self.records[slot]
+        return bytes(self.records[slot])
 
     def write(self, slot: int, data: bytes) -> None:
-        self.records[slot] = self._spend(data)
-        if self.records[slot] != data:
-            raise PowerOffError
+        self.records[slot] = bytearray()
+        self.add(self.records[slot], data)
 
 
 class Writer:
-    def __init__(self, flash: Flash, slot: int) -> None:
-        self._flash, self._slot = flash, slot
-
-    def write(self, data: bytes) -> None:
-        part = self._flash._spend(data)
-        self._flash.programs[self._slot] += part
-        if len(part) < len(data):
-            raise PowerOffError
+    def __init__(self, flash: Flash, content: bytearray) -> None:
+        self.write = partial(flash.add, content)
 
     def close(self) -> None:
         pass

@@ -4,7 +4,6 @@ On CPython a plain device stands beside the firmware and gets the same frames an
 must be what it says. So the drivers, the loop and the flash store neither lose nor change anything."""
 
 import json
-import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -12,10 +11,11 @@ import pytest
 
 from canopen_conformance.case import Case
 from canopen_conformance.run import FAIL
-from canopen_device.testing import Conversation, Frame, parse
+from canopen_device.testing import Conversation, Frame, MemoryStore
 from conformance.fingertip import SERIAL, run_in_process
+from fingertip.finger import forces
 from microcontroller import rig
-from micropython import recording, scripts
+from micropython import scripts
 from micropython.recording import SYNC, Recording, Talk
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.source import Reading, Source
@@ -73,12 +73,10 @@ class RecordedFirmware:
         self.rig = rig.Rig(json.loads(json.dumps(header)))
         self.pending: list[str] = []  # what happens at the next step besides frames
         firmware = self.rig.firmware
-        self._groups = {name: bytes.fromhex(content) for name, content in (groups or {}).items()}
+        self._store = MemoryStore()
+        self._store.groups |= {name: bytes.fromhex(content) for name, content in (groups or {}).items()}
         # Readings pass through the tap in the order in which the two devices ask: both are built first.
-        self._plain = fingertip_node(
-            node_id, _Tap(firmware.gauges), n, serial,
-            lambda name, data: self._groups.update({name: data}) is None, self._groups.get,
-        )  # fmt: skip
+        self._plain = fingertip_node(node_id, _Tap(firmware.gauges), n, serial, self._store.save, self._store.load)
         self._plain.lss.bit_rate = rig.BIT_RATE
         self._came: list[Frame] = []
         receive = firmware.port.receive
@@ -94,36 +92,29 @@ class RecordedFirmware:
         return self.rig.firmware.device.node_id
 
     def step(self, now_us: int, frames: Iterable[Frame] = ()) -> tuple[list[Frame], int]:
-        now_us += rig.WARM_UP_US
-        words = [str(now_us), *self.pending]
+        words = [str(now_us + rig.WARM_UP_US), *self.pending, *(self._word(*frame) for frame in frames)]
         self.pending = []
-        for can_id, data in frames:
-            if can_id & 0x20000000:
-                words.append("!" + self._event(can_id, data))
-            else:
-                words.append(f"{can_id:X}#{bytes(data).hex()}")
-        answer = self.rig.step(" ".join(words))
-        self.recording.steps.append(" ".join(words))
-        self.recording.answers.append(answer)
-        self.recording.stored = self.rig.stored()
-        sent = [parse(word) for word in answer.split()[1:]]
-        self._compare(now_us, sent)
-        return sent, now_us - rig.WARM_UP_US + int(answer.split()[0])
+        step = " ".join(words)
+        answer = self.rig.step(step)
+        sent, wait_us = self.recording.note(step, answer, self.rig.stored())
+        self._compare(now_us + rig.WARM_UP_US, sent)
+        return sent, now_us + wait_us
 
-    def _event(self, can_id: int, data: bytes) -> str:
-        if can_id & 0x40:
-            return "off"
-        return "active" if can_id & 0x100 else _CONTROLLER[data[1]]
+    def _word(self, can_id: int, data: bytes) -> str:
+        """A frame, or what an error frame says of the controller."""
+        if not can_id & 0x20000000:
+            return f"{can_id:X}#{bytes(data).hex()}"
+        return "!off" if can_id & 0x40 else "!active" if can_id & 0x100 else f"!{_CONTROLLER[data[1]]}"
 
     def _compare(self, now_us: int, sent: list[Frame]) -> None:
         said, _due = self._plain.step(now_us, self._came)
         self._plain.requests.clear()
         if now_us >= self.rig.firmware._mute_until_us:
             assert sent == [(can_id, bytes(data)) for can_id, data in said], self.recording.steps[-1]
-        assert {name: self.rig.store.load(name) for name in self._groups} == self._groups
+        assert {name: self.rig.store.load(name) for name in self._store.groups} == self._store.groups
 
     def stored(self) -> dict[str, str]:
-        return {name: content.hex() for name, content in self._groups.items()}
+        return {name: content.hex() for name, content in self._store.groups.items()}
 
 
 def firmware_talk(adc: str, can: str) -> type[Talk]:
@@ -148,8 +139,7 @@ def firmware_talk(adc: str, can: str) -> type[Talk]:
             return 0
 
         def _apply(self) -> None:
-            P, phi, theta = self._load[0], math.radians(self._load[1]), math.radians(self._load[2])
-            F = (P * math.sin(phi), P * math.sin(phi - theta), P * math.cos(phi))
+            F = forces((self._load[0], self._load[1], self._load[2]))
             counts = [round(COUNTS_PER_MICROSTRAIN * 1e6 * float(row @ F)) for row in self._rows]
             counts = [max(-0x800000, min(0x7FFFFF, one)) for one in counts]
             fault, gauge = self._fault[0], int(self._fault[1]) - 1
@@ -181,8 +171,3 @@ def examined(adc: str, can: str, cases: Sequence[Case]) -> list[Recording]:
     failed = [result.case.name for result in results if result.verdict == FAIL]
     assert [name for name in failed if name.split(".")[0] not in ("profile_404", "interrupts_404")] == []
     return [device.recording for device in devices]
-
-
-def assert_same(recordings: Sequence[Recording], files: dict[str, bytes]) -> None:
-    """MicroPython answers every step as CPython did, byte for byte, and flash holds the same."""
-    recording.assert_same(recordings, files, "from microcontroller.rig import Replay")

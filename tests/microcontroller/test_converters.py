@@ -22,11 +22,11 @@ NO_DATA, WIRE, SUPPLY = (1 << bit for bit in (table.FAULT_NO_DATA, table.FAULT_W
 KINDS = ["nau7802", "ads1220", "hx711"]
 
 
-def run(driver: Any, clock: FakeClock, microseconds: int) -> list[tuple[int, ...]]:
+def run(driver: Any, fake: Any, microseconds: int) -> list[tuple[int, ...]]:
     found = []
     for _ in range(microseconds // STEP_US):
-        clock.now_us += STEP_US
-        counts = driver.poll(clock.now_us)
+        fake.clock.now_us += STEP_US
+        counts = driver.poll(fake.clock.now_us)
         if counts is not None:
             found.append(counts)
     return found
@@ -35,12 +35,10 @@ def run(driver: Any, clock: FakeClock, microseconds: int) -> list[tuple[int, ...
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("counts", [0, 1, -1, 0x123456, -0x123456, 0x7FFFFF, -0x800000])
 def test_counts_arrive_as_they_are(kind: str, counts: int) -> None:
-    clock = FakeClock()
-    signal = [0]
-    driver, _fake = chip(kind, clock, signal)
-    assert set(run(driver, clock, START_US)) == {(0,)}
-    signal[0] = counts
-    found = run(driver, clock, 100_000)
+    driver, fake = chip(kind, FakeClock(), [0])
+    assert set(run(driver, fake, START_US)) == {(0,)}
+    fake.signal[0] = counts
+    found = run(driver, fake, 100_000)
     assert found[-1] == (counts,)
     # A converter that is read often enough loses no conversion.
     assert len(found) >= 100_000 // driver.period_us - 1
@@ -49,42 +47,38 @@ def test_counts_arrive_as_they_are(kind: str, counts: int) -> None:
 @pytest.mark.parametrize("kind", KINDS[:2])
 def test_two_channels_of_one_chip(kind: str) -> None:
     """What the filter shows just after a change of channel is left out: no reading mixes two gauges."""
-    clock, signal = FakeClock(), [1_000_000, -2_000_000]
-    driver, _fake = chip(kind, clock, signal)
-    found = run(driver, clock, START_US)
+    driver, fake = chip(kind, FakeClock(), [1_000_000, -2_000_000])
+    found = run(driver, fake, START_US)
     assert len(found) > 20
     assert set(found) == {(1_000_000, -2_000_000)}
     assert driver.period_us < 50_000
 
 
 def test_nau7802_is_set_up_as_asked() -> None:
-    clock = FakeClock()
-    fake = FakeNau7802(clock, [0, 0])
-    run(Nau7802(fake, channels=2, gain=64, rate=80, ldo_millivolts=3300), clock, START_US)
+    fake = FakeNau7802(FakeClock(), [0, 0])
+    run(Nau7802(fake, channels=2, gain=64, rate=80, ldo_millivolts=3300), fake, START_US)
     assert fake.calibrated == 3  # the offset of both channels
     assert fake.registers[1] == 4 << 3 | 6  # VLDO 3.3 V, gain 64
     assert fake.registers[2] & 0x77 == 3 << 4  # 80 conversions a second, no calibration under way
     assert fake.registers[0] & 0x96 == 0x96  # digital and analogue part up, converting, own regulator
     assert fake.registers[0x15] == 0x30
-    single = FakeNau7802(clock, [0])
-    run(Nau7802(single, ldo_millivolts=0), clock, START_US)
+    single = FakeNau7802(FakeClock(), [0])
+    run(Nau7802(single, ldo_millivolts=0), single, START_US)
     assert single.registers[0x1C] == 0x80
     assert not single.registers[0] & 0x80
 
 
 def test_nau7802_calibration_that_fails_is_done_again() -> None:
-    clock = FakeClock()
-    fake = FakeNau7802(clock, [123])
+    fake = FakeNau7802(FakeClock(), [123])
     fake.fail_calibrations = 2
-    assert set(run(Nau7802(fake), clock, 2 * START_US)) == {(123,)}
+    assert set(run(Nau7802(fake), fake, 2 * START_US)) == {(123,)}
 
 
 @pytest.mark.parametrize("rate", [20, 45, 330, 1000, 2000, 350])
 def test_ads1220_is_set_up_as_asked(rate: int) -> None:
-    clock = FakeClock()
-    fake = FakeAds1220(clock, [5], offset=-100)
+    fake = FakeAds1220(FakeClock(), [5], offset=-100)
     driver = Ads1220(fake, fake.cs, fake.drdy, gain=32, rate=rate, reference="supply")
-    run(driver, clock, START_US)
+    run(driver, fake, START_US)
     assert fake.registers[0] == 5 << 1
     assert fake._period_us() == 1000000 // rate
     assert fake.registers[1] & 6 == 4  # continuous, no temperature
@@ -93,36 +87,32 @@ def test_ads1220_is_set_up_as_asked(rate: int) -> None:
 
 
 def test_ads1220_reads_its_temperature_between_gauges() -> None:
-    clock = FakeClock()
-    driver, _fake = chip("ads1220", clock, [7])
-    found = run(driver, clock, 10_500_000)
+    driver, fake = chip("ads1220", FakeClock(), [7])
+    found = run(driver, fake, 10_500_000)
     assert driver.temperature == 2500
     assert set(found) == {(7,)}
 
 
 def test_hx711_gains_by_pulses() -> None:
     for gain, pulses in ((128, 25), (32, 26), (64, 27)):
-        clock = FakeClock()
-        fake = FakeHx711(clock, [9])
-        found = run(Hx711(fake.dout, fake.sck, gain=gain), clock, START_US)
+        fake = FakeHx711(FakeClock(), [9])
+        found = run(Hx711(fake.dout, fake.sck, gain=gain), fake, START_US)
         assert set(fake.pulses_seen) == {pulses}
         assert fake.resets == 1
         assert len(found) > 100
 
 
 def test_hx711_out_of_step_is_reset() -> None:
-    clock, signal = FakeClock(), [0x123456]
-    driver, fake = chip("hx711", clock, signal)
-    run(driver, clock, START_US)
+    driver, fake = chip("hx711", FakeClock(), [0x123456])
+    run(driver, fake, START_US)
     fake.glitch = 1
-    found = run(driver, clock, START_US)
+    found = run(driver, fake, START_US)
     assert fake.resets == 2
     assert set(found) == {(0x123456,)}
 
 
 def test_hx711_keeps_interrupts_away_while_it_clocks() -> None:
-    clock = FakeClock()
-    fake = FakeHx711(clock, [1])
+    fake = FakeHx711(FakeClock(), [1])
     held: list[str] = []
 
     def lock() -> int:
@@ -130,49 +120,46 @@ def test_hx711_keeps_interrupts_away_while_it_clocks() -> None:
         return 7
 
     driver = Hx711(fake.dout, fake.sck, lock=lock, unlock=lambda state: held.append(f"un{state}"))
-    found = run(driver, clock, START_US)
+    found = run(driver, fake, START_US)
     assert held[:2] == ["lock", "un7"]
     assert len(held) == 2 * (len(found) + 4)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_converter_that_stops_gives_nothing_and_comes_back(kind: str) -> None:
-    clock = FakeClock()
-    driver, fake = chip(kind, clock, [42])
-    assert run(driver, clock, START_US)
+    driver, fake = chip(kind, FakeClock(), [42])
+    assert run(driver, fake, START_US)
     fake.stuck = True
-    run(driver, clock, 20_000)
-    assert run(driver, clock, START_US) == []
+    run(driver, fake, 20_000)
+    assert run(driver, fake, START_US) == []
     fake.stuck = False
-    assert set(run(driver, clock, 2 * START_US)) == {(42,)}
+    assert set(run(driver, fake, 2 * START_US)) == {(42,)}
 
 
 @pytest.mark.parametrize("kind", KINDS[:2])
 def test_a_chip_that_is_gone_is_asked_seldom_and_found_again(kind: str) -> None:
-    clock = FakeClock()
-    driver, fake = chip(kind, clock, [42])
+    driver, fake = chip(kind, FakeClock(), [42])
     fake.dead = True
-    assert run(driver, clock, 1_000_000) == []
+    assert run(driver, fake, 1_000_000) == []
     if isinstance(fake, FakeNau7802):
         assert fake.transfers < 100  # every 20 ms: the loop has other work
     fake.dead = False
-    assert set(run(driver, clock, START_US)) == {(42,)}
+    assert set(run(driver, fake, START_US)) == {(42,)}
     fake.dead = True
-    run(driver, clock, 10_000)
-    assert run(driver, clock, 1_000_000) == []
+    run(driver, fake, 10_000)
+    assert run(driver, fake, 1_000_000) == []
 
 
 def test_power_that_fails_is_told_with_the_next_reading() -> None:
-    clock = FakeClock()
-    driver, fake = chip("nau7802", clock, [42])
-    run(driver, clock, START_US)
+    driver, fake = chip("nau7802", FakeClock(), [42])
+    run(driver, fake, START_US)
     fake.reset()
-    assert run(driver, clock, 100_000) == []
+    assert run(driver, fake, 100_000) == []
     assert driver.faults == SUPPLY
-    assert set(run(driver, clock, START_US)) == {(42,)}
+    assert set(run(driver, fake, START_US)) == {(42,)}
     fake.reset()
     fake.unpowered = True  # it answers, but PUR never comes
-    assert run(driver, clock, START_US) == []
+    assert run(driver, fake, START_US) == []
 
 
 def test_no_setting_that_a_chip_has_not() -> None:

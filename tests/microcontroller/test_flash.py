@@ -1,7 +1,6 @@
 """Parameters in flash that loses power anywhere; conversations held with the firmware on both interpreters."""
 
 import contextlib
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,10 +10,11 @@ from hypothesis import strategies as st
 import firmware
 import tipforce_loader
 from conformance.fingertip import all_cases
+from fingertip.finger import flipped
 from microcontroller import talk
 from microcontroller.fakes import MemorySlots
 from microcontroller.program_board import PowerOffError
-from micropython import engine, scripts
+from micropython import engine, recording, scripts
 from micropython.recording import Recording
 from tipforce_loader.flash import BlockSlots, FileSlots, FlashStore
 
@@ -122,44 +122,30 @@ def test_round_trip(groups: dict[str, bytes]) -> None:
     assert found.load("absent") is None
 
 
-def bits(image: bytes) -> Iterator[bytes]:
-    for k in range(len(image) * 8):
-        damaged = bytearray(image)
-        damaged[k // 8] ^= 1 << k % 8
-        yield bytes(damaged)
-
-
 def test_every_flipped_bit_is_noticed() -> None:
     slots = MemorySlots()
     store = FlashStore(slots)
     store.save("lss", b"old")
     store.save("lss", b"new")
     (newest,) = [slot for slot in (0, 1) if b"new" in slots.slots[slot]]
-    for damaged in bits(slots.slots[newest]):
+    for bit in range(8 * len(slots.slots[newest])):
         other = MemorySlots()
         other.slots = list(slots.slots)
-        other.slots[newest] = damaged
+        other.slots[newest] = flipped(slots.slots[newest], bit)
         assert FlashStore(other).load("lss") == b"old"
 
 
-def test_what_is_there_already_is_not_written_again_and_slots_take_turns() -> None:
+def test_what_is_there_already_is_not_written_again_slots_take_turns_and_numbers_wrap() -> None:
     slots = MemorySlots()
     store = FlashStore(slots)
+    store._sequence = 0xFFFFFFFD
     for k in range(10):
         assert store.save("lss", bytes((k,)))
+        assert FlashStore(slots).load("lss") == bytes((k,))
         before = list(slots.slots)
         assert store.save("lss", bytes((k,)))
         assert slots.slots == before
     assert slots.writes == 10
-
-
-def test_sequence_numbers_wrap() -> None:
-    slots = MemorySlots()
-    store = FlashStore(slots)
-    store._sequence = 0xFFFFFFFD
-    for k in range(6):
-        assert store.save("lss", bytes((k,)))
-        assert FlashStore(slots).load("lss") == bytes((k,))
 
 
 def test_flash_that_fails_refuses_and_keeps(tmp_path: Path) -> None:
@@ -200,18 +186,18 @@ def spoken() -> list[Recording]:
 
 def test_conversations(spoken: list[Recording]) -> None:
     assert sum(sum(one.frames()) for one in spoken) > 5000
-    talk.assert_same(spoken, engine.sources() | firmware_files())
+    recording.assert_same(spoken, engine.sources() | firmware_files(), "from microcontroller.rig import Replay")
 
 
 def test_the_conversations_reach_what_the_firmware_adds(spoken: list[Recording]) -> None:
     """Gauges were read and showed a contact, controllers failed, converters fell silent, flash was written."""
-    for recording in spoken:
-        if "measurement" in recording.name:
-            contacts = [word for answer in recording.answers for word in answer.split() if word.startswith("285#")]
-            assert any(int(word.split("#")[1][12:14], 16) & 3 == 3 for word in contacts), recording.name
-            emcy = {word[3:7] for answer in recording.answers for word in answer.split() if word.startswith("85#")}
-            assert emcy >= {"3050", "1050"}, recording.name  # front end, gauge saturated
-        if "bus faults" in recording.name:
-            emcy = {word[3:7] for answer in recording.answers for word in answer.split() if word.startswith("85#")}
-            assert emcy >= {"1081", "2081", "4081"}, recording.name  # overrun, passive, back from bus-off
+    for one in spoken:
+        words = [word for answer in one.answers for word in answer.split()]
+        emcy = {word[3:7] for word in words if word.startswith("85#")}
+        if "measurement" in one.name:
+            contacts = [word.split("#")[1] for word in words if word.startswith("285#")]
+            assert any(int(data[12:14], 16) & 3 == 3 for data in contacts), one.name
+            assert emcy >= {"3050", "1050"}, one.name  # front end, gauge saturated
+        if "bus faults" in one.name:
+            assert emcy >= {"1081", "2081", "4081"}, one.name  # overrun, passive, back from bus-off
     assert {one.stored != "- -" for one in spoken} == {True, False}

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from canopen_device.core import codes, program
+from fingertip.finger import flipped
 from microcontroller import program_board
 from microcontroller.program_board import INSTALLED_VERSION, KEY, Board, Flash, PowerOffError, image
 from microcontroller.test_flash import FOLDER, LOADER, firmware_files
@@ -101,11 +102,7 @@ def test_corrupted_transfers(with_old: Flash) -> None:
         frames_left, bit = iter(range(chance.randrange(len(NEW) // 7 + 3), -1, -1)), chance.randrange(64)
 
         def fault(data: bytes, frames_left: Iterator[int] = frames_left, bit: int = bit) -> bytes:
-            if next(frames_left, -1) != 0:
-                return data
-            changed = bytearray(data)
-            changed[bit // 8] ^= 1 << bit % 8
-            return bytes(changed)
+            return data if next(frames_left, -1) != 0 else flipped(data, bit)
 
         transfer = board.download(NEW, fault)
         accepted = transfer.abort_code is None and transfer.failure is None

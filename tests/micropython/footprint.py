@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from micropython import engine
-from micropython.recording import STEPS_PER_CALL, Talk
+from micropython.recording import STEPS_PER_CALL, Talk, all_steps
 from tipforce.dictionary import table_objects
 
 ROUNDS = 1000
@@ -34,9 +34,7 @@ def ready_node() -> Talk:
 
 def bring_up(talk: Talk) -> list[str]:
     """Calls that leave on MicroPython, as ``replay.device``, the node of ``/ready`` in its final state."""
-    steps = len(talk.recording.steps)
-    counts = [min(STEPS_PER_CALL, steps - k) for k in range(0, steps, STEPS_PER_CALL)]
-    return ["replay = on_node.Replay('/ready')", *(f"replay.go({count})" for count in counts)]
+    return ["replay = on_node.Replay('/ready')", *all_steps(talk.recording)]
 
 
 def heap(files: Mapping[str, bytes]) -> Heap:

@@ -33,6 +33,14 @@ class Recording:
         """What MicroPython gets to read: everything but the answers."""
         return "\n".join([json.dumps(self.header), *self.steps, ""])
 
+    def note(self, step: str, answer: str, stored: str) -> tuple[list[Frame], int]:
+        """Keep a step and its answer; return the frames of the answer, and its number: when the node is due."""
+        self.steps.append(step)
+        self.answers.append(answer)
+        self.stored = stored
+        words = answer.split()
+        return [parse(word) for word in words[1:] if "#" in word], int(words[0])
+
     def frames(self) -> tuple[int, int]:
         return sum(len(step.split()) - 1 for step in self.steps), sum(answer.count("#") for answer in self.answers)
 
@@ -58,16 +66,18 @@ class RecordedDevice:
 
     def step(self, now_us: int, frames: Iterable[Frame] = ()) -> tuple[list[Frame], int]:
         frames, now_us = [(can_id, bytes(data)) for can_id, data in frames], now_us + self._start_us
-        words = [str(now_us), *(f"{can_id:X}#{data.hex()}" for can_id, data in frames)]
-        self.recording.steps.append(" ".join(words))
+        step = " ".join([str(now_us), *(f"{can_id:X}#{data.hex()}" for can_id, data in frames)])
         answer = on_node.answer(self.device, now_us, frames)
-        self.recording.answers.append(answer)
-        self.recording.stored = self._store.shown()
-        words = answer.split()
-        return [parse(word) for word in words[1:] if "#" in word], int(words[0]) - self._start_us
+        sent, due_us = self.recording.note(step, answer, self._store.shown())
+        return sent, due_us - self._start_us
 
     def stored(self) -> dict[str, str]:
         return {name: content.hex() for name, content in self._store.groups.items()}
+
+
+def all_steps(recording: Recording) -> list[str]:
+    """Calls that hold a conversation which MicroPython has as ``replay``."""
+    return [f"replay.go({min(left, STEPS_PER_CALL)})" for left in range(len(recording.steps), 0, -STEPS_PER_CALL)]
 
 
 def replay(
@@ -78,10 +88,7 @@ def replay(
     calls = [replayer]
     for number, recording in enumerate(recordings):
         told[f"/recording{number}"] = recording.text().encode()
-        calls.append(f"replay = Replay('/recording{number}')")
-        for left in range(len(recording.steps), 0, -STEPS_PER_CALL):
-            calls.append(f"replay.go({min(left, STEPS_PER_CALL)})")
-        calls.append("replay.end()")
+        calls += [f"replay = Replay('/recording{number}')", *all_steps(recording), "replay.end()"]
     lines = iter(engine.run(told, calls))
     return [[next(lines) for _ in range(len(recording.steps) + 1)] for recording in recordings]
 

@@ -3,37 +3,24 @@
 Argument: the store file. Each line on stdin is a first serial number, and starts a child that is to be killed. On
 stdout: the child's process id, then each serial number whose store was confirmed, then "ended" and the signal."""
 
-import binascii
 import os
-import struct
 import sys
 
 from canopen_device.running.store import FileStore
-from canopen_device.testing import Conversation
-from tipforce.fingertip.node import fingertip_node
-from tipforce.sources.simulated import SimulatedSource
-
-ROWS = ((1e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-4))
-PACKING = "<12fIIfB6f5fB13f"
+from fingertip import finger
 
 
 def record(k: int) -> bytes:
     """Calibration k: every matrix element and offset tells which one it is."""
-    C = [1e4 * (row == column) + k + 0.25 * row + 0.5 * column for row in range(3) for column in range(3)]
-    noise = (1e-14, 0.0, 0.0, 1e-14, 0.0, 1e-14)
-    values = (*C, k * 1e-9, 0.0, -k * 1e-9, k, 20240131, 23.0, 1, *noise, 0.01, -60, 60, 0.1, 0.05, 0)
-    return struct.pack(PACKING, *values, *(0.0,) * 13)
+    C = [[1e4 * (row == column) + k + 0.25 * row + 0.5 * column for column in range(3)] for row in range(3)]
+    return finger.record(C=C, offsets=(k * 1e-9, 0.0, -k * 1e-9), serial=k)
 
 
 def main(path: str, first: int) -> None:
     """Commit and store over SDO frames; ends by SIGKILL, or when nobody reads any more."""
-    store = FileStore(path)
-    talk, k = Conversation(fingertip_node(5, SimulatedSource(ROWS), save=store.save, load=store.load)), first
+    talk, k = finger.finger(calibrated=False, store=FileStore(path)), first
     while True:
-        data = record(k)
-        refused = talk.download(0x2141, 0, data) or talk.put("I", 0x2103, 1, binascii.crc32(data))
-        refused = refused or talk.put("I", 0x2104, 0, 0x74696D63) or talk.put("I", 0x1010, 4, 0x65766173)
-        if refused:
+        if refused := talk.stage(record(k)) or talk.commit() or talk.put("I", 0x1010, 4, finger.SAVE):
             sys.exit(f"refused: {refused:08X}")
         print(k, flush=True)
         k += 1

@@ -27,18 +27,15 @@ PRESS = text(
 )  # fmt: skip
 
 
-class Talk(Conversation):
-    def __init__(self, device: SimulatedDevice) -> None:
-        super().__init__(device, emcy=True)
-        self.sent.clear()
-
-
-def press(folder: Path, **given: object) -> SimulatedDevice:
-    return SimulatedDevice(described(folder, PRESS), **given)  # type: ignore[arg-type]
+def press(folder: Path, **given: object) -> Conversation:
+    """A conversation with a press, its boot-up heard."""
+    talk = Conversation(SimulatedDevice(described(folder, PRESS), **given), emcy=True)  # type: ignore[arg-type]
+    talk.take()
+    return talk
 
 
 def test_values_by_index_and_name(tmp_path: Path) -> None:
-    device = press(tmp_path)
+    device = press(tmp_path).device
     assert device[0x2000] == device["p2000"] == device["2000h"] == device["0x2000:00"] == device[0x2000, 0] == 7
     device["P2002"] = "Grüße"
     assert device[0x2002] == "Grüße"
@@ -63,8 +60,8 @@ def test_values_by_index_and_name(tmp_path: Path) -> None:
 
 
 def test_a_change_sends_the_event_driven_pdo_after_its_inhibit_time(tmp_path: Path) -> None:
-    device = press(tmp_path)
-    talk = Talk(device)
+    talk = press(tmp_path)
+    device = talk.device
     talk.say("""\
         > 000#0105
         < 185#07000000
@@ -107,8 +104,8 @@ class Doubler(DeviceApplication):
 
 
 def test_an_application_in_python(tmp_path: Path) -> None:
-    device = press(tmp_path, application=Doubler())
-    talk = Talk(device)
+    talk = press(tmp_path, application=Doubler())
+    device = talk.device
     talk.say("""\
         > 605#2300210115000000
         < 585#6000210100000000
@@ -129,8 +126,8 @@ def test_signals(tmp_path: Path) -> None:
         0x2000: Ramp(0, 100, 2.0), "P2001": Sine(2.0, 1.0, 4.0), (0x2100, 1): Follows(0x2000, gain=-1.0),
         (0x2100, 2): recorded(tmp_path / "log.csv", "force"), 0x2003: RandomWalk(10, 5.0, 0, 20, 0.1, seed=3),
     }  # fmt: skip
-    device = press(tmp_path, signals=signals)
-    talk = Talk(device)
+    talk = press(tmp_path, signals=signals)
+    device = talk.device
     seen = []
     for _ in range(10):
         talk.advance(100_000)
@@ -150,8 +147,8 @@ def test_signals(tmp_path: Path) -> None:
     assert struct.unpack("<f", sent[0x285])[0] == pytest.approx(1 + 2 * math.sin(math.tau * t_s / 4), abs=1e-5)
     with pytest.raises(InputError, match=r"0x2003:00 'P2003': the signal runs from 0 to 300; UNSIGNED8 holds 0 to 255"):
         press(tmp_path, signals={0x2003: Ramp(0, 300)})
-    device = press(tmp_path, signals={0x2000: Follows("P2001")})
-    talk = Talk(device)
+    talk = press(tmp_path, signals={0x2000: Follows("P2001")})
+    device = talk.device
     device["P2001"] = math.nan
     device[0x2000] = 7
     talk.advance(100_000)
@@ -161,8 +158,8 @@ def test_signals(tmp_path: Path) -> None:
 
 
 def test_faults(tmp_path: Path) -> None:
-    device = press(tmp_path)
-    talk = Talk(device)
+    talk = press(tmp_path)
+    device = talk.device
     device.fault("silent")
     talk.say("> 605#4000200000000000")
     device.clear_fault("silent")

@@ -2,7 +2,6 @@
 
 import binascii
 import math
-from collections.abc import Iterable
 
 import numpy as np
 
@@ -11,9 +10,7 @@ from canopen_device.testing import MemoryStore
 from fingertip import finger as rig
 from stability.case import Observed
 from tipforce.dictionary import indices, table, table_objects
-from tipforce.fingertip.node import fingertip_node
 from tipforce.sensor.contact import scalar
-from tipforce.sources.simulated import SimulatedSource
 
 _GROUP = 4
 
@@ -107,22 +104,14 @@ def calibration_possible_noise() -> Observed:
     return accepted == len(records), f"{accepted} of {len(records)} accepted, ranks 0 to 3"
 
 
-def _flipped(data: bytes) -> Iterable[bytes]:
-    for bit in range(8 * len(data)):
-        spoilt = bytearray(data)
-        spoilt[bit // 8] ^= 1 << bit % 8
-        yield bytes(spoilt)
-
-
 def calibration_flipped_in_transit() -> Observed:
     """each of the 1264 bits of a record flipped in transit, CRC as sent -> refused: commit refuses every one with
     06040043h; the active CRC stays"""
     finger, record = rig.finger(load=rig.PUSH), rig.record(tip=(0.015, -60.0, 60.0, 0.05, 0.02, 1))
-    before, crc, refused, total = finger.calibration(), binascii.crc32(record), 0, 0
-    for spoilt in _flipped(record):
-        total += 1
+    before, crc, refused, total = finger.calibration(), binascii.crc32(record), 0, 8 * len(record)
+    for bit in range(total):
         # A load sense that is neither 0 nor 1 is refused at once.
-        staged = finger.stage(spoilt, crc)
+        staged = finger.stage(rig.flipped(record, bit), crc)
         refused += staged == codes.INVALID_VALUE or (staged == 0 and finger.commit() == codes.INCOMPATIBLE)
     held = refused == total == 1264 and finger.calibration() == before
     return held, f"{refused} of {total} refused, active CRC {before[1]:08X}h stays"
@@ -135,15 +124,13 @@ def _stored() -> MemoryStore:
 
 
 def _started(memory: MemoryStore) -> rig.Finger:
-    source = SimulatedSource(rig.strain_per_newton())
-    source.load = rig.PUSH
-    return rig.Finger(fingertip_node(rig.NODE_ID, source, save=memory.save, load=memory.load), source, emcy=True)
+    return rig.finger(calibrated=False, load=rig.PUSH, store=memory, emcy=True)
 
 
 def _uncalibrated(finger: rig.Finger) -> bool:
     codes = finger.emcy()
     found = finger.sync()
-    unknown = not found.status & scalar.CALIBRATED and found.contact == (rig.UNKNOWN,) * 3
+    unknown = not found.status & scalar.CALIBRATED and found.contact == rig.HUSHED
     return unknown and codes == [table.EMCY_CALIBRATION_INVALID] and finger.calibration()[1] == 0
 
 
@@ -154,8 +141,8 @@ def calibration_flipped_in_store() -> Observed:
     data = memory.groups["calibration"]
     good = _started(memory).sync()
     caught, total = 0, 8 * len(data)
-    for spoilt in _flipped(data):
-        memory.groups["calibration"] = spoilt
+    for bit in range(total):
+        memory.groups["calibration"] = rig.flipped(data, bit)
         if not _uncalibrated(_started(memory)):
             break
         caught += 1

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import FunctionType, ModuleType
-from typing import TypeAlias, cast
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 
@@ -61,11 +61,11 @@ def energy(modes: Modes, state: State) -> float:
     return 0.5 * float(np.sum((state.position / modes.omega_rad_s) ** 2 + (state.velocity / modes.omega_rad_s) ** 2))
 
 
-def refusal(act: Callable[[], object]) -> str:
-    """Return the text of the InputError that an action raises; empty if it raises none."""
+def refusal(act: Callable[..., object], *arguments: Any, kind: type[Exception] = InputError, **named: Any) -> str:
+    """Return the text of the error of a kind that a call raises; empty if it raises none."""
     try:
-        act()
-    except InputError as error:
+        act(*arguments, **named)
+    except kind as error:
         return str(error)
     return ""
 

@@ -22,7 +22,6 @@ from tools.blocks import block_of_text
 _GAUGES_COB_ID, _HEARTBEAT_COB_ID = codes.TPDO_BASES[0] + rig.NODE_ID, codes.HEARTBEAT_BASE + rig.NODE_ID
 _DAY_MS = 86_400_000
 _NO_SYNC_US = 1_200_000  # the node latches by itself again
-_HUSHED = (rig.UNKNOWN,) * 3
 
 
 def clock_counter_wrap() -> Observed:
@@ -224,7 +223,7 @@ def clock_sync_twice_rate() -> Observed:
     finger.sync()
     found = [finger.sync(250) for _ in range(200)]
     stale = [bool(one.status & scalar.STALE) for one in found]
-    hushed = all((one.contact == one.gauges == _HUSHED) == old for one, old in zip(found, stale, strict=True))
+    hushed = all((one.contact == one.gauges == rig.HUSHED) == old for one, old in zip(found, stale, strict=True))
     right = all(one.contact[0] == 1000 for one, old in zip(found, stale, strict=True) if not old)
     counts = decoder.unwrap_counter([one.counter for one in found])
     repeats = (np.diff(counts) == 0).tolist() == stale[1:]
@@ -241,7 +240,7 @@ def clock_sync_burst() -> Observed:
     found = [finger.sync(1000 if k == 0 else 0) for k in range(100)]
     stale = [bool(one.status & scalar.STALE) for one in found]
     held = stale == [False] + [True] * 99 and len({one.counter for one in found}) == 1
-    held &= all(one.contact == _HUSHED for one in found[1:]) and found[0].contact[0] == 1000
+    held &= all(one.contact == rig.HUSHED for one in found[1:]) and found[0].contact[0] == 1000
     return held, f"{sum(stale)} of 100 stale, counter {found[0].counter} in all"
 
 
@@ -257,6 +256,6 @@ def clock_sample_period() -> Observed:
     finger.sync(0)
     found = [finger.sync(100_000) for _ in range(30)]
     fresh = [k for k, one in enumerate(found) if not one.status & scalar.STALE]
-    held &= fresh == [9, 19, 29] and all((one.contact == _HUSHED) == (k not in fresh) for k, one in enumerate(found))
+    held &= fresh == [9, 19, 29] and all((one.contact == rig.HUSHED) == (k not in fresh) for k, one in enumerate(found))
     faults = sum(bool(one.status & scalar.FRONT_END_FAULT) for one in found)
     return held and faults == 0, f"5 refused; at 1 s {len(fresh)} of 30 SYNCs at 100 ms have news, no fault claimed"

@@ -32,7 +32,7 @@ def _readings(
 
 def _refusal(readings: Readings) -> str:
     """Return the error text of fit_calibration; empty without an error."""
-    return refusal(lambda: fit_calibration(readings))
+    return refusal(fit_calibration, readings)
 
 
 def _changed(readings: Readings, **columns: FloatArray) -> Readings:

@@ -1,5 +1,6 @@
 """Gauges that are saturated, stuck, open, silent, swapped, or lost: detection by the node and the host."""
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -16,7 +17,6 @@ from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix, str
 from tipforce.sources import simulated
 
 _NOISE = 1e-13  # strain^2: three counts
-_HUSHED = (rig.UNKNOWN,) * 3
 
 
 class Fixed(Source):
@@ -46,7 +46,7 @@ def gauge_saturated() -> Observed:
         finger.source.forces = lambda _now, sign=sign: (sign * 40.0, 0.1, -0.9)
         found = finger.sync()
         status, codes = finger.get("B", indices.CHANNEL_STATUS, 1), finger.emcy()
-        held &= found.contact == _HUSHED and found.gauges == (sign * 32767, 100, -900) and status == six
+        held &= found.contact == rig.HUSHED and found.gauges == (sign * 32767, 100, -900) and status == six
         held &= bool(found.status & scalar.SATURATED) and finger.get("H", indices.FAULTS) == 1
         held &= codes == [table.EMCY_GAUGE_SATURATED]
         figures.append(f"SG1 {found.gauges[0] / 10:g}, 6150h {status:02.0f}h, status {found.status:02X}h")
@@ -60,7 +60,7 @@ def gauge_open() -> Observed:
     finger.break_gauge(simulated.OPEN, 2)
     found = finger.sync()
     faults, codes = int(finger.get("H", indices.FAULTS)), finger.emcy()
-    held = found.contact == _HUSHED and found.gauges == _HUSHED and bool(found.status & scalar.FRONT_END_FAULT)
+    held = found.contact == rig.HUSHED and found.gauges == rig.HUSHED and bool(found.status & scalar.FRONT_END_FAULT)
     held &= bool(faults >> table.FAULT_WIRE_BREAK & 1) and table.EMCY_FRONT_END in codes
     return held, f"status {found.status:02X}h, 2124h {faults:04X}h, EMCY {_hex(codes)}"
 
@@ -71,7 +71,7 @@ def gauge_stuck() -> Observed:
     finger = _noisy()
     finger.break_gauge(simulated.STUCK, 1)
     finger.source.load = (2.0, *rig.PUSH[1:])
-    known = [finger.sync(rig.PERIOD_US).contact != _HUSHED for _ in range(60)]
+    known = [finger.sync(rig.PERIOD_US).contact != rig.HUSHED for _ in range(60)]
     last, faults, codes = finger.sync(), int(finger.get("H", indices.FAULTS)), finger.emcy()
     count = sum(known)
     held = count < 33 and known == [True] * count + [False] * (60 - count)
@@ -93,7 +93,7 @@ def gauge_stuck_without_noise() -> Observed:
     off = np.subtract(F, rig.forces(finger.source.load))
     missed = 1e-6 * (finger.get("f", indices.PROCESS_VALUE, 1) - 100.0 * rig.forces(finger.source.load)[0])
     most = np.abs(np.array(rig.matrix())[:, 0] * missed) + 0.5e-3 * math.sqrt(3.0)
-    held = found.contact != _HUSHED and bool((np.abs(off) <= most).all()) and abs(off[0]) > 0.1
+    held = found.contact != rig.HUSHED and bool((np.abs(off) <= most).all()) and abs(off[0]) > 0.1
     return held, f"no flag in 100 readings; F off by {off[0]:+.3f}, {off[1]:+.3f}, {off[2]:+.3f} N"
 
 
@@ -101,15 +101,18 @@ def gauge_silent() -> Observed:
     """the converter delivers no more samples -> flagged: the first SYNC has bit 3 and all unknown; after 100 ms bit 7,
     2124h bit 8, EMCY 5030h"""
     finger = rig.finger(load=rig.PUSH, emcy=True)
-    finger.sync()
+    counter = finger.sync().counter
     finger.break_gauge(simulated.SILENT)
-    first = finger.sync()
-    for _ in range(120):
-        last = finger.sync()
+    found = [finger.sync() for _ in range(121)]  # one each millisecond
+    first, last = found[0], found[-1]
     faults, codes = int(finger.get("H", indices.FAULTS)), finger.emcy()
-    held = bool(first.status & scalar.STALE) and first.contact == first.gauges == last.contact == _HUSHED
-    held &= bool(last.status & scalar.FRONT_END_FAULT) and faults == 1 << table.FAULT_NO_DATA
-    held &= codes == [table.EMCY_FRONT_END]
+    stale = scalar.CALIBRATED | scalar.STALE
+    held = [one.status for one in found] == [stale] * 100 + [stale | scalar.FRONT_END_FAULT] * 21
+    held &= {one.counter for one in found} == {counter} and faults == 1 << table.FAULT_NO_DATA
+    held &= first.contact == first.gauges == last.contact == rig.HUSHED and codes == [table.EMCY_FRONT_END]
+    finger.break_gauge(0)
+    again = finger.sync()
+    held &= again.contact[0] == 1000 and again.counter == counter + 1 and finger.get("H", indices.FAULTS) == 0
     return held, f"status {first.status:02X}h at once, {last.status:02X}h after 121 ms, 2124h {faults:04X}h"
 
 
@@ -134,7 +137,7 @@ def gauge_eight_five_lost() -> Observed:
         worst = max(worst, float(np.abs(np.subtract(F, rig.forces(rig.PUSH))).max()))
         faults = int(finger.get("H", indices.FAULTS))
         held &= bool(found.status & scalar.SATURATED) and faults == sum(1 << k for k in lost)
-        held &= found.contact != _HUSHED and rig.UNKNOWN not in found.contact
+        held &= found.contact != rig.HUSHED and rig.UNKNOWN not in found.contact
     return held and worst <= 0.6e-3, f"3 sets of 5 lost: F off by at most {1e3 * worst:.2f} mN, one count is 1 mN"
 
 
@@ -142,25 +145,22 @@ def gauge_eight_no_rank() -> Observed:
     """8 gauges, 5 saturated, the other 3 respond to F1 twice and F2 -> flagged: P and both angles are unknown: the rank
     is below 3"""
     _, found = _eight((1, 2, 3, 4, 5))  # left: SG1 and SG7 see F1, SG8 sees F2
-    return found.contact == _HUSHED and bool(found.status & scalar.SATURATED), f"status {found.status:02X}h"
+    return found.contact == rig.HUSHED and bool(found.status & scalar.SATURATED), f"status {found.status:02X}h"
 
 
 def gauge_eight_all_lost() -> Observed:
     """all 8 gauges saturated -> flagged: P is unknown, no exception"""
     finger, found = _eight(range(8))
     shown = {finger.get("h", indices.PROCESS_VALUE + table.INT16_FORM, sub) for sub in range(1, 9)}
-    held = found.contact == _HUSHED and shown == {32767} and finger.get("H", indices.FAULTS) == 0xFF
+    held = found.contact == rig.HUSHED and shown == {32767} and finger.get("H", indices.FAULTS) == 0xFF
     return held, f"status {found.status:02X}h, gauges at {shown}, 2124h 00FFh"
 
 
 def _pairs(n: int) -> list[list[int]]:
     """Return the order of the gauges with two of them swapped, for each pair."""
-    found = []
-    for i in range(n):
-        for k in range(i + 1, n):
-            order = list(range(n))
-            order[i], order[k] = k, i
-            found.append(order)
+    found = [list(range(n)) for _ in itertools.combinations(range(n), 2)]
+    for order, (i, k) in zip(found, itertools.combinations(range(n), 2), strict=True):
+        order[i], order[k] = k, i
     return found
 
 

@@ -59,6 +59,13 @@ def wire_real32_denormal() -> Observed:
     return kept == 24, f"{kept} of 24 kept"
 
 
+def _forms(finger: rig.Finger, sub: int) -> tuple[float, float, float, int]:
+    """Return a channel as 6130h, 7130h and 9130h, and its 6150h."""
+    kinds = (("f", 0), ("h", table.INT16_FORM), ("i", table.INT32_FORM))
+    real, short, long = (finger.get(kind, indices.PROCESS_VALUE + form, sub) for kind, form in kinds)
+    return real, short, long, int(finger.get("B", indices.CHANNEL_STATUS, sub))
+
+
 def wire_real32_overflow() -> Observed:
     """a process value of 3.4e42: beyond REAL32, gauge offset 3.4e38 times C -> flagged: 6130h is infinite, INTEGER16
     and INTEGER32 are at their limits, 6150h is 03h"""
@@ -70,13 +77,10 @@ def wire_real32_overflow() -> Observed:
     big.put("f", indices.SPAN_END, 1, 3.4e38)
     big.put("f", indices.PROCESS_OFFSET, 1, 3.4e38)
     big.sync()
-    forms = (
-        big.get("f", indices.PROCESS_VALUE, 4), big.get("h", indices.PROCESS_VALUE + table.INT16_FORM, 4),
-        big.get("i", indices.PROCESS_VALUE + table.INT32_FORM, 4), big.get("B", indices.CHANNEL_STATUS, 4),
-    )  # fmt: skip
+    forms = _forms(big, 4)
     held = taken and strain == struct.unpack("<f", struct.pack("<f", 3.4e38))[0] and math.isfinite(F1)
     held &= forms == (math.inf, 32767, 0x7FFFFFFF, 3)
-    return held, f"F1 in the three forms {forms[:3]}, 6150h {forms[3]:02.0f}h"
+    return held, f"F1 in the three forms {forms[:3]}, 6150h {forms[3]:02d}h"
 
 
 def wire_integer16_overflow() -> Observed:
@@ -87,10 +91,7 @@ def wire_integer16_overflow() -> Observed:
     for F1 in (32.766, 33.0, 45.0, -32.766, -33.0, -45.0):
         finger.source.forces = lambda _now, F1=F1: (0.2 * F1, 0.0, -0.2)
         finger.sync()
-        exact = finger.get("f", indices.PROCESS_VALUE, 4)
-        short = finger.get("h", indices.PROCESS_VALUE + table.INT16_FORM, 4)
-        long = finger.get("i", indices.PROCESS_VALUE + table.INT32_FORM, 4)
-        status = int(finger.get("B", indices.CHANNEL_STATUS, 4))
+        exact, short, long, status = _forms(finger, 4)
         inside = abs(exact) <= 32.767
         held &= abs(exact - F1) < 5e-3 and abs(long - 1000.0 * exact) <= 0.51
         held &= short == (round(long) if inside else math.copysign(32767, F1))
@@ -192,7 +193,7 @@ def wire_same_cob_id() -> Observed:
         finger.step([(_GAUGES_COB_ID, bytes(8))])
     codes, decoder, mapped = finger.emcy(), decode.Decoder(), [(indices.PROCESS_VALUE + table.INT16_FORM, 7, 16)]
     decoder.remap(5, "Contact", _FREE_COB_ID, mapped)
-    said = refusal(lambda: decoder.remap(6, "Contact", _FREE_COB_ID, mapped))
+    said = refusal(decoder.remap, 6, "Contact", _FREE_COB_ID, mapped)
     held = codes == [emcy.COB_ID_COLLISION] and "already assigned to Contact of node 5" in said
     return held, f"EMCY {codes[0]:04X}h; {said}"
 

@@ -20,11 +20,6 @@ _SLAVE_FORCE, _SMBUS = 0x0706, 0x0720  # linux/i2c-dev.h
 _WRITE, _WORD_DATA = 0, 3
 
 
-def in_user_mode_linux() -> bool:
-    """Is this kernel one that runs as a program, where modules may be loaded and clocks moved?"""
-    return "User Mode Linux" in Path("/proc/cpuinfo").read_text()
-
-
 def load_modules() -> None:
     """Load the drivers, once. Raises CalledProcessError with the kernel's words."""
     loaded = {line.split()[0] for line in Path("/proc/modules").read_text().splitlines()}

@@ -93,19 +93,17 @@ class RawBus:
         self.send(SDO_REQUEST + node_id, bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0)))
         return self.until(lambda frame: frame[0] == SDO_ANSWER + node_id)[:-1]
 
+    def start_node(self) -> None:
+        """Operational, with a heartbeat every 20 ms (1017h): a clock of its own, and it soon notices a lost bus."""
+        self.send(SDO_REQUEST + NODE_ID, b"\x2b\x17\x10\0\x14\0\0\0")
+        self.until(lambda frame: frame[0] == SDO_ANSWER + NODE_ID)
+        self.send(NMT, bytes((1, NODE_ID)))
+        self.until(lambda frame: frame == OPERATIONAL_BEAT)
 
-def start_with_fast_heartbeats(bus: RawBus) -> None:
-    """Operational, with a heartbeat every 20 ms (1017h): a clock of the node's own, and it soon notices a lost bus."""
-    bus.send(SDO_REQUEST + NODE_ID, b"\x2b\x17\x10\0\x14\0\0\0")
-    bus.until(lambda frame: frame[0] == SDO_ANSWER + NODE_ID)
-    bus.send(NMT, bytes((1, NODE_ID)))
-    bus.until(lambda frame: frame == OPERATIONAL_BEAT)
-
-
-def answers_a_sync(bus: RawBus) -> bool:
-    """Does the node send its PDOs to a SYNC?"""
-    bus.send(SYNC)
-    return {0x180 + NODE_ID, 0x280 + NODE_ID} <= {can_id for can_id, _ in bus.answers()}
+    def answers_a_sync(self) -> bool:
+        """Does the node send its PDOs to a SYNC?"""
+        self.send(SYNC)
+        return {0x180 + NODE_ID, 0x280 + NODE_ID} <= {can_id for can_id, _ in self.answers()}
 
 
 def is_boot_up(node_id: int) -> Callable[[Frame], bool]:
@@ -124,7 +122,6 @@ class Command:
             path.touch()
         self._process = _context.Process(target=_run_here, args=(self.words, [str(p) for p in self._outputs]))
         self._process.start()
-        self._closed = False
 
     @property
     def pid(self) -> int:
@@ -141,7 +138,7 @@ class Command:
 
     @property
     def ended(self) -> bool:
-        return self._closed or self._process.exitcode is not None
+        return self._process.exitcode is not None
 
     def wait(self, timeout_s: float = WAIT_S) -> int:
         """Its exit code, or minus the number of the signal that ended it. Raises AssertionError after the time."""
@@ -160,9 +157,6 @@ class Command:
     def close(self) -> None:
         if not self.ended:
             self.end(signal.SIGKILL)
-        if not self._closed:
-            self._process.close()
-            self._closed = True
 
 
 Launch = Callable[..., Command]
@@ -205,8 +199,8 @@ def running_node(folder: Path, *flags: str, node_id: int = NODE_ID, channel: str
         command.close()
 
 
-def ip_link(*words: str) -> None:
-    subprocess.run(["ip", "link", *words], check=True, capture_output=True, timeout=WAIT_S)
+def ip_link(*words: str, check: bool = True) -> None:
+    subprocess.run(["ip", "link", *words], check=check, capture_output=True, timeout=WAIT_S)
 
 
 def wait_until(condition: Callable[[], bool], what: str, again: Callable[[], object] = lambda: None) -> None:

@@ -12,6 +12,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import pytest
+from bench.measure import background
 
 from tipforce.host.frames.frame_block import LENGTHS
 from vcan.support import NODE_ID, SYNC, WAIT_S, Command, RawBus, ip_link, tipforce, wait_until
@@ -160,19 +161,13 @@ def test_the_traffic_has_every_kind_of_frame(texts: list[tuple[str, str]]) -> No
 @contextmanager
 def kept_busy(bus: socket.socket) -> Iterator[None]:
     """Frames until both listen: dump may take longer to start than the silence that ends candump."""
-    listening = threading.Event()
 
-    def send() -> None:
-        while not listening.wait(0.05):
+    def send(stop: threading.Event) -> None:
+        while not stop.wait(0.05):
             bus.send(struct.pack("=IB3x8s", BUSY, 0, b""))
 
-    thread = threading.Thread(target=send, name="busy")
-    thread.start()
-    try:
+    with background(send):
         yield
-    finally:
-        listening.set()
-        thread.join()
 
 
 def test_silence_ends_both(tmp_path: Path) -> None:

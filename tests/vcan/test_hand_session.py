@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tipforce.host.configuration.calibration import Calibration, write_calibration
+from host.bus_with_nodes import beam_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.hand import Hand
 from tipforce.samples.record import Rows
-from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix
 from vcan.pressed import NEWTONS_PER_S, force_newtons, run_node
 from vcan.support import HEARTBEAT, SDO_REQUEST, Launch, RawBus, ip_link, is_boot_up, wait_until
 from vcan.support import _context as context
@@ -40,7 +40,6 @@ LATE = (
 RECOVERED_MS = 30_000
 RECOVERY_REQUESTS = 300  # 218 where none is repeated
 NOT_OF_THIS_SYNC_NEWTONS = 0.5 * NEWTONS_PER_S / SYNC_HZ  # an answer to the SYNC before is off by twice as much
-ROUNDING_STRAIN2 = 0.1e-6**2 / 12
 
 
 class Session:
@@ -51,12 +50,7 @@ class Session:
         self.rows: list[Rows] = []
         for node_id in NODE_IDS:
             self.switch_on(node_id)
-        calibration = Calibration(
-            C=calibration_matrix(FABRICATED, "I"), offset_strain=np.zeros(3),
-            covariance_strain2=np.eye(3) * ROUNDING_STRAIN2,
-            serial=7, date=20260102, layout_code=1, pull=True,
-        )  # fmt: skip
-        write_calibration(folder / "cal.toml", calibration)
+        write_calibration(folder / "cal.toml", beam_calibration())
         fingers = "".join(
             f'[[finger]]\nnode_id = {n}\nserial = {1000 + n}\ncalibration = "cal.toml"\n' for n in NODE_IDS
         )

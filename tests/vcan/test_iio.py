@@ -12,17 +12,17 @@ import struct
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from tipforce.host.configuration.calibration import Calibration
+from fingertip.finger import FAULT, HUSHED, SATURATED, STALE, Pdos, forces, pdos_of
+from host.bus_with_nodes import beam_calibration
 from tipforce.host.network.bus import Bus
 from tipforce.sensor.contact import scalar_uncertainty
-from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix, strain_matrix
-from vcan.adc import ADDRESSES, COUNTS, Adcs, in_user_mode_linux, load_modules
-from vcan.support import NODE_ID, SYNC, Command, Frame, RawBus, running_node, start_with_fast_heartbeats
+from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
+from vcan.adc import ADDRESSES, COUNTS, Adcs, load_modules
+from vcan.support import NODE_ID, SYNC, Command, Frame, RawBus, running_node
 
 LAYOUT = """\
 points = ["K_H", "S_H", "U"]
@@ -38,30 +38,14 @@ PER_MICROSTRAIN = 2.0  # counts: 1.65e-6 V * gain / volts_per_count
 ZERO = COUNTS // 2
 NOISE_COUNTS = 1.5
 EMCY = 0x080 + NODE_ID
-GAUGES, CONTACT = 0x180 + NODE_ID, 0x280 + NODE_ID
+CONTACT = 0x280 + NODE_ID
 CONVERSION_S = 500e-6  # the default of 6114h
-SATURATED, STALE, FAULT = 1 << 2, 1 << 3, 1 << 7
-UNKNOWN = -0x8000
 NO_DATA = 8
 Z = 6.0  # bound of an error in standard uncertainties
 STRAIN = strain_matrix(FABRICATED, "I")
+SIGMA_STRAIN = 1e-6 * math.hypot(NOISE_COUNTS, math.sqrt(1 / 12)) / PER_MICROSTRAIN  # noise and rounding to counts
+CALIBRATION = beam_calibration(covariance_strain2=np.eye(3) * SIGMA_STRAIN**2, serial=8)
 RECORDING = Path(__file__).with_name("recorded_load.csv")
-
-
-class Pdos(NamedTuple):
-    gauges: tuple[int, ...]
-    contact: tuple[int, ...]
-    status: int
-    counter: int
-    before: list[Frame]
-
-
-def calibration() -> Calibration:
-    sigma = 1e-6 * math.hypot(NOISE_COUNTS, math.sqrt(1 / 12)) / PER_MICROSTRAIN  # noise and rounding to counts
-    return Calibration(
-        C=calibration_matrix(FABRICATED, "I"), offset_strain=np.zeros(3), covariance_strain2=np.eye(3) * sigma**2,
-        serial=8, date=20261121, layout_code=1, pull=True,
-    )  # fmt: skip
 
 
 def recorded_load() -> list[tuple[float, float, float]]:
@@ -78,30 +62,28 @@ class Rig:
         self._chance = np.random.default_rng(8)
         self.still: set[int] = set()
         self.load = (0.0, 0.0, 0.0)
+        self.frames: list[Frame] = []
 
     def move(self) -> None:
-        P, phi, delta = self.load[0], math.radians(self.load[1]), math.radians(self.load[1] - self.load[2])
-        force = (P * math.sin(phi), P * math.sin(delta), P * math.cos(phi))
+        force = forces(self.load)
         exact = ZERO + PER_MICROSTRAIN * 1e6 * STRAIN @ force + self._chance.normal(0.0, NOISE_COUNTS, 3)
         for k, address in enumerate(ADDRESSES):
             if k not in self.still:
                 self.adcs.set(address, round(exact[k]))
 
     def sample(self) -> Pdos:
-        """New registers, a SYNC, and what the node sends to it; all frames that came before its last PDO."""
+        """New registers, a SYNC, and what the node sends to it; ``frames``: all up to its last PDO."""
         self.move()
         time.sleep(CONVERSION_S)
         self.bus.send(SYNC)
-        frames = self.bus.until(lambda frame: frame[0] == CONTACT)
-        one, two = (struct.unpack("<hhhBB", dict(frames)[can_id]) for can_id in (GAUGES, CONTACT))
-        assert one[3:] == two[3:]
-        return Pdos(one[:3], two[:3], one[3], one[4], frames)
+        self.frames = self.bus.until(lambda frame: frame[0] == CONTACT)
+        return pdos_of(self.frames)
 
     def until(self, code: int, cured: bool, detail: int) -> tuple[Pdos, int]:
         """Samples until this EMCY came; the last sample, and how many SYNCs it took."""
         for syncs in range(1, 1001):
             found = self.sample()
-            if tells(found.before, code, cured, detail):
+            if tells(self.frames, code, cured, detail):
                 return found, syncs
         raise AssertionError(f"no EMCY {code:04X}h, detail {detail}, cured: {cured}")
 
@@ -114,9 +96,7 @@ def tells(frames: list[Frame], code: int, cured: bool, detail: int) -> bool:
 
 
 @pytest.fixture(scope="module")
-def adcs() -> Iterator[Adcs]:
-    if not in_user_mode_linux():
-        pytest.skip("loads kernel modules: only on a kernel of its own, `tipforce vcan --uml -- ...`")
+def adcs(own_kernel: None) -> Iterator[Adcs]:  # noqa: ARG001 (it must be one)
     load_modules()
     found = Adcs()
     yield found
@@ -133,7 +113,7 @@ def iio_node(
     folder = tmp_path_factory.mktemp("iio")
     (folder / "finger.toml").write_text(LAYOUT)
     with running_node(folder, *flags(folder, "0-0050,iio:device1,device2/voltage")) as node:
-        host.finger(NODE_ID).apply_calibration(calibration(), store=False)
+        host.finger(NODE_ID).apply_calibration(CALIBRATION, store=False)
         yield node
         assert "Traceback" not in node.stderr
 
@@ -145,7 +125,7 @@ def flags(folder: Path, devices: str) -> tuple[str, ...]:
 @pytest.fixture
 def rig(adcs: Adcs, iio_node: Command, bus: RawBus) -> Rig:
     assert iio_node.stdout == ""
-    start_with_fast_heartbeats(bus)
+    bus.start_node()
     return Rig(adcs, bus)
 
 
@@ -159,11 +139,7 @@ def test_the_host_sees_the_recorded_contact_within_the_bound(rig: Rig) -> None:
         assert not found.status & (STALE | FAULT | SATURATED), hex(found.status)
         P, phi, theta = found.contact[0] * 1e-3, found.contact[1] * 0.01, found.contact[2] * 0.01
         truth_P, truth_phi, truth_theta = rig.load
-        angles = math.radians(truth_phi), math.radians(truth_phi - truth_theta)
-        u = scalar_uncertainty.uncertainty(
-            truth_P * math.sin(angles[0]), truth_P * math.sin(angles[1]), truth_P * math.cos(angles[0]), covariance,
-            True,
-        )  # fmt: skip
+        u = scalar_uncertainty.uncertainty(*forces(rig.load), covariance, True)
         errors = (P - truth_P, turned(phi - truth_phi), turned(theta - truth_theta))
         bounds = (Z * u[0] + 5e-4, math.degrees(Z * u[1]) + 5e-3, math.degrees(Z * u[2]) + 5e-3)
         assert all(abs(error) <= bound for error, bound in zip(errors, bounds, strict=True)), (rig.load, errors, bounds)
@@ -173,8 +149,8 @@ def test_the_host_sees_the_recorded_contact_within_the_bound(rig: Rig) -> None:
 
 def propagated() -> tuple[float, float, float, float, float, float]:
     """The covariance of F, upper triangle by rows."""
-    record = calibration()
-    (f11, f12, f13), (_, f22, f23), (_, _, f33) = (record.C @ record.covariance_strain2 @ record.C.T).tolist()
+    covariance = CALIBRATION.C @ CALIBRATION.covariance_strain2 @ CALIBRATION.C.T
+    (f11, f12, f13), (_, f22, f23), (_, _, f33) = covariance.tolist()
     return f11, f12, f13, f22, f23, f33
 
 
@@ -192,9 +168,9 @@ def test_a_device_that_is_pulled_out_is_no_data_and_comes_back_by_itself(rig: Ri
     assert syncs <= 2
     assert found.status & STALE
     assert found.status & FAULT
-    assert found.gauges == found.contact == (UNKNOWN,) * 3
+    assert found.gauges == found.contact == HUSHED
     for _ in range(5):
-        assert rig.sample().contact == (UNKNOWN,) * 3
+        assert rig.sample().contact == HUSHED
     rig.adcs.plug_in(ADDRESSES[gauge])
     rig.still = set()
     rig.until(0x5030, True, NO_DATA)

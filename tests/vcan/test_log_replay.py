@@ -36,22 +36,20 @@ def test_the_log_is_candumps_to_the_byte(recording: tuple[Path, Path]) -> None:
     assert ours.read_text() == theirs.read_text()
 
 
-def test_canplayer_plays_our_log(recording: tuple[Path, Path], tmp_path: Path) -> None:
-    played = tmp_path / "played"
+@pytest.mark.parametrize("player", ["canplayer", "replay"])
+def test_each_plays_the_log_of_the_other(
+    player: str, recording: tuple[Path, Path], launch: Launch, tmp_path: Path
+) -> None:
+    played, log = tmp_path / "played", recording[player == "replay"]
     with fd_bus("vcan1"), listening_candump(["-L", "vcan1,0:0,#FFFFFFFF"], played):
-        subprocess.run(["canplayer", "-t", "-I", str(recording[0]), "vcan1=vcan0"], check=True, timeout=WAIT_S)
-        wait_until(lambda: played.read_bytes().count(b"\n") == len(traffic()), "canplayer has not played all")
-    assert without_time(played) == [line.replace("vcan0", "vcan1") for line in without_time(recording[0])]
-
-
-def test_replay_plays_candumps_log(recording: tuple[Path, Path], launch: Launch, tmp_path: Path) -> None:
-    played = tmp_path / "played"
-    with fd_bus("vcan1"), listening_candump(["-L", "vcan1,0:0,#FFFFFFFF"], played):
-        command = launch("replay", str(recording[1]), "vcan1=vcan0", "--speed", "5")
-        assert command.wait() == 0, command.stderr
-        wait_until(lambda: played.read_bytes().count(b"\n") == len(traffic()), "replay has not played all")
-    assert f"{len(traffic())} frames sent" in command.stderr
-    assert without_time(played) == [line.replace("vcan0", "vcan1") for line in without_time(recording[1])]
+        if player == "canplayer":
+            subprocess.run(["canplayer", "-t", "-I", str(log), "vcan1=vcan0"], check=True, timeout=WAIT_S)
+        else:
+            command = launch("replay", str(log), "vcan1=vcan0", "--speed", "5")
+            assert command.wait() == 0, command.stderr
+            assert f"{len(traffic())} frames sent" in command.stderr
+        wait_until(lambda: played.read_bytes().count(b"\n") == len(traffic()), f"{player} has not played all")
+    assert without_time(played) == [line.replace("vcan0", "vcan1") for line in without_time(log)]
 
 
 def without_time(path: Path) -> list[str]:

@@ -11,16 +11,7 @@ import pytest
 from tipforce.errors import SdoAbortError
 from tipforce.host.network.bus import Bus
 from tipforce.scene import beam_calibration
-from vcan.adc import in_user_mode_linux
-from vcan.support import (
-    NMT,
-    NODE_ID,
-    OPERATIONAL_BEAT,
-    RawBus,
-    answers_a_sync,
-    running_node,
-    start_with_fast_heartbeats,
-)  # fmt: skip
+from vcan.support import NMT, NODE_ID, OPERATIONAL_BEAT, RawBus, running_node
 
 
 @pytest.fixture
@@ -55,7 +46,7 @@ def remount(disk: Path, mode: str) -> None:
 def still_answers() -> None:
     with RawBus() as bus:  # a new one: what came before must not pass for an answer
         bus.send(NMT, bytes((1, NODE_ID)))
-        assert answers_a_sync(bus)
+        assert bus.answers_a_sync()
 
 
 @pytest.mark.parametrize(("trouble", "message"), [("full", "No space left on device"), ("read-only", "Read-only file")])
@@ -85,11 +76,10 @@ def test_a_disk_that_takes_nothing_costs_nothing_but_the_storing(
         assert finger.verify_calibration(second) == []
 
 
+@pytest.mark.usefixtures("own_kernel")
 def test_a_clock_that_is_set_moves_nothing(bus: RawBus, tmp_path: Path) -> None:
-    if not in_user_mode_linux():
-        pytest.skip("sets the time of day: only on a kernel of its own, `tipforce vcan --uml -- ...`")
     with running_node(tmp_path) as node:
-        start_with_fast_heartbeats(bus)
+        bus.start_node()
         before = time.clock_gettime(time.CLOCK_REALTIME)
         began = time.monotonic()
         try:
