@@ -25,6 +25,7 @@ class Object:
     index: int
     code: int
     name: str
+    stem: str
     entries: tuple[Entry[Any], ...]
 
 
@@ -38,7 +39,7 @@ def objects(
     except ValueError as error:
         raise InputError(str(error)) from None
     unfolded = []
-    for index, code, name, _, runs in declared:
+    for index, code, name, stem, runs in declared:
         listed: list[Entry[Any]] = []
         for first, count, titles, slug, letter, access, flags, defaults, low, high, unit in runs:
             counted = code != table.VAR and not (first == 0 or (code == table.RECORD and count == 1))
@@ -48,7 +49,7 @@ def objects(
                 title = titles[k] if isinstance(titles, tuple) else titles.replace("%d", str(sub))
                 default = defaults[k] if isinstance(defaults, tuple) else defaults
                 listed.append(Entry(index, sub, letter, full, access, unit, title, own, flags, default, low, high))
-        unfolded.append(Object(index, code, name, tuple(listed)))
+        unfolded.append(Object(index, code, name, stem, tuple(listed)))
     return tuple(unfolded)
 
 

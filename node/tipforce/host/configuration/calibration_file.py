@@ -108,7 +108,7 @@ def read_file(path: str | Path, fields: Fields) -> tuple[dict[str, Any], str | N
     with placed(place):
         values = {
             of.name: _value(of, key, unit, cell)
-            for of, key, unit in _rows(fields)
+            for of, key, unit, _ in _rows(fields)
             if (cell := getattr(content.calibration, key)) is not None
         }
     fit = None if content.fit is None else convert(FitTable, content.fit, f"{place}: fit", finite=False)
@@ -119,44 +119,33 @@ def write_file(path: str | Path, fields: Fields, calibration: object, crc32: int
     """Write a file with the fields of a calibration, the CRC-32 of its record, and its table [fit], None for none.
     Raises InputError for a layout code or a date that the file has no words for, and when the disk refuses."""
     with placed(f"calibration {path}"):
-        content = {key: _cell(of, unit, getattr(calibration, of.name)) for of, key, unit in _rows(fields)}
-    date = content.pop("date")
-    if not content["tare_drift_microstrain_per_s"]:
-        del content["tare_drift_microstrain_per_s"]
-    content["crc32"] = f"0x{crc32:08X}"
-    document: dict[str, object] = {"calibration": content if date is None else {**content, "date": date}}
-    if fit is not None:
-        document["fit"] = fit
+        content = {key: _cell(of, unit, getattr(calibration, of.name)) for of, key, unit, _ in _rows(fields)}
+    content["tare_drift_microstrain_per_s"] = content["tare_drift_microstrain_per_s"] or None
+    content |= {"crc32": f"0x{crc32:08X}", "date": content.pop("date")}
+    cells = {key: cell for key, cell in content.items() if cell is not None}
+    document: dict[str, object] = {"calibration": cells} if fit is None else {"calibration": cells, "fit": fit}
     output_file.write_file(path, msgspec.toml.encode(document), output_file.CALIBRATION)
 
 
-def _rows(fields: Fields) -> list[tuple[Field[Any], str, float]]:
-    """The fields in the order of a file (required, numbers, arrays, what no node holds), their keys, their units."""
-
-    def rank(of: Field[Any]) -> int:
+def _rows(fields: Fields) -> list[tuple[Field[Any], str, float, int]]:
+    """The fields in the order of a file: key, unit, and rank (0 required, numbers, arrays, 3 what no node holds)."""
+    rows = []
+    for of in fields:
         required = of.type == "bool" or of.default is of.default_factory is MISSING
-        return 3 if not of.metadata["place"][0] else 0 if required else 1 + (of.type == "FloatArray")
-
-    listed = sorted((of for of in fields if of.type != "FloatArray | None"), key=rank)
-    return [
-        (
-            of,
-            of.metadata["key"] or of.name.replace("_strain", "_microstrain"),
-            1e12 if "_strain2" in of.name else 1e6 if "_strain" in of.name else 1.0,
-        )
-        for of in listed
-    ]
+        rank = 3 if not of.metadata["place"][0] else 0 if required else 1 + (of.type == "FloatArray")
+        unit = 1e12 if "_strain2" in of.name else 1e6 if "_strain" in of.name else 1.0
+        rows.append((of, of.metadata["key"] or of.name.replace("_strain", "_microstrain"), unit, rank))
+    return sorted((row for row in rows if row[0].type != "FloatArray | None"), key=lambda row: row[3])
 
 
 def _file_type(fields: Fields) -> type[msgspec.Struct]:
     keys: list[Any] = []
-    for of, key, _ in _rows(fields):
+    for of, key, _, rank in _rows(fields):
         words, plain = of.name in _WORDS, int if of.type == "int" else float
         kind: Any = str if words else datetime.date if of.name == "date" else plain
         for _ in of.metadata["shape"]:
             kind = list[kind]
-        required = of.type == "bool" or of.default is of.default_factory is MISSING
-        keys.append((key, kind) if required else (key, kind | None, None))
+        keys.append((key, kind | None, None) if rank else (key, kind))
     keys.append(("crc32", str | None, None))
     calibration = msgspec.defstruct("_Table", keys, forbid_unknown_fields=True)
     tables: list[Any] = [("calibration", calibration), ("fit", dict[str, object] | None, None)]
