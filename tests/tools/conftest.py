@@ -8,7 +8,7 @@ import pytest
 
 from canopen_device.core.node import Device
 from canopen_device.running import loop
-from tools.rig import Ended, Printed, Streams, Tipforce, called
+from tools.rig import Printed, Streams, exit_code
 
 
 @pytest.fixture(autouse=True)
@@ -47,30 +47,12 @@ def devices(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
 
 
 @pytest.fixture
-def bus_words() -> tuple[str, ...]:
-    """The flags of the bus of ``tipforce``; a file whose commands need one has a fixture of this name."""
-    return ()
-
-
-@pytest.fixture
-def tipforce(bus_words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> Tipforce:
-    """Run a command line, given as a text or as words, that must end with ``code``, if that is given."""
-
-    def run(*words: object, code: int | None = None) -> Ended:
-        line = str(words[0]).split() if len(words) == 1 else words
-        ended = called(capsys, *line, *bus_words)
-        assert code in (None, ended.code), ended.err
-        return ended
-
-    return run
-
-
-@pytest.fixture
 def printed(capsys: pytest.CaptureFixture[str]) -> Printed:
-    def run(code: int, words: str | Sequence[object]) -> Streams:
+    def run(code: int | set[int], words: str | Sequence[object]) -> Streams:
         capsys.readouterr()
-        ended = called(capsys, *(words.split() if isinstance(words, str) else words))
-        assert ended.code == code, ended.err
-        return Streams(ended.out, ended.err)
+        ended = exit_code(words)
+        streams = Streams(*capsys.readouterr())
+        assert ended in (code if isinstance(code, set) else {code}), streams.err
+        return streams
 
     return run

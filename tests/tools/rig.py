@@ -76,21 +76,6 @@ def in_namespace(script: str, *words: object, cwd: Path | None = None) -> subpro
     return run(script, "bash", *map(str, words))
 
 
-class Ended(NamedTuple):
-    """The exit code of a command, and what it wrote."""
-
-    code: int
-    out: str
-    err: str
-
-    @property
-    def records(self) -> list[dict[str, Any]]:
-        return [json.loads(line) for line in self.out.splitlines()]
-
-
-Tipforce = Callable[..., Ended]
-
-
 class Streams(NamedTuple):
     """What a command wrote."""
 
@@ -102,16 +87,25 @@ class Streams(NamedTuple):
         return [json.loads(line) for line in self.out.splitlines()]
 
 
-Printed = Callable[[int, str | Sequence[object]], Streams]
-"""Run a command line, a text or words, that must end with this exit code; what it printed."""
+Printed = Callable[[int | set[int], str | Sequence[object]], Streams]
+"""Run a command line, a text or words, that must end with this exit code, or one of these; what it printed."""
 
 
-def called(capsys: pytest.CaptureFixture[str], *words: object) -> Ended:
+def exit_code(words: str | Sequence[object]) -> int:
+    """That of a command line, a text or words."""
     try:
-        code = main([str(word) for word in words])
+        return main(words.split() if isinstance(words, str) else [str(word) for word in words])
     except SystemExit as ended:  # argparse
-        code = int(ended.code or 0)
-    return Ended(code, *capsys.readouterr())
+        return int(ended.code or 0)
+
+
+TIPFORCE = (sys.executable, "-m", "tipforce_tools.cli.main")
+
+
+def process(line: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    """`tipforce LINE` in a process of its own."""
+    words = [*TIPFORCE, *line.split()]
+    return subprocess.run(words, capture_output=True, text=True, timeout=60, check=False, **options)
 
 
 def run_node(*words: object, channel: str = "") -> int:

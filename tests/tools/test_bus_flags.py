@@ -31,7 +31,7 @@ from tipforce.watching.findings import Observed, findings
 from tipforce_tools.cli import bus_flags
 from tipforce_tools.doctor import machine
 from tipforce_tools.doctor.machine import configuration_check, interface_check
-from tools.rig import Printed, Tipforce
+from tools.rig import Printed, exit_code
 
 
 def parsers() -> tuple[argparse.ArgumentParser, argparse.ArgumentParser]:
@@ -272,14 +272,13 @@ def situation(request: pytest.FixtureRequest) -> Iterator[tuple[str, str]]:
 @pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_first_command_names_cause_and_remedy(
-    command: str, situation: tuple[str, str], tmp_path: Path, tipforce: Tipforce
+    command: str, situation: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name, channel = situation
-    code, out, err = tipforce(f"{command.replace('FOLDER', str(tmp_path))} -i virtual -c {channel}")
-    said = re.findall(f"^.*(?:{SITUATIONS[name]}).*$", (err + out).replace(" -> ", ": "), re.MULTILINE)
-    assert len(said) == 1, err + out
-    if command.startswith("doctor"):
-        assert code == (name in ("two nodes", "not calibrated"))
+    code = exit_code(f"{command.replace('FOLDER', str(tmp_path))} -i virtual -c {channel}")
+    assert not command.startswith("doctor") or code == (name in ("two nodes", "not calibrated"))
+    text = "".join(reversed(capsys.readouterr())).replace(" -> ", ": ")
+    assert len(re.findall(f"^.*(?:{SITUATIONS[name]}).*$", text, re.MULTILINE)) == 1, text
 
 
 @pytest.mark.usefixtures("impatient")
@@ -288,33 +287,29 @@ def test_what_a_filter_leaves_out_is_not_missing(printed: Printed) -> None:
 
 
 @pytest.mark.usefixtures("impatient")
-@pytest.mark.parametrize(("command", "code"), [("hand check FILE", 0), ("doctor FILE --listen 0.3", 1)])
-def test_a_finger_that_does_not_respond(command: str, code: int, tmp_path: Path, printed: Printed) -> None:
-    path, channel = tmp_path / "hand.toml", new_channel()
-    path.write_text('[[finger]]\nnode_id = 5\n[[finger]]\nnode_id = 6\nname = "index"\n')
-    with running([finger(5)], channel):
-        text = "".join(printed(code, f"{command.replace('FILE', str(path))} -i virtual -c {channel}"))
-    assert "no identity on the bus: index (6)" in text
-    assert "`tipforce lss scan`" in text
-
-
-@pytest.mark.usefixtures("impatient")
-@pytest.mark.parametrize("command", ["hand check FILE", "doctor FILE --listen 0.3"])
-def test_swapped_serial_numbers(command: str, tmp_path: Path, tipforce: Tipforce) -> None:
+@pytest.mark.parametrize("command", ["hand check", "doctor --listen 0.3"])
+def test_a_finger_that_does_not_respond_and_swapped_serial_numbers(
+    command: str, tmp_path: Path, printed: Printed, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The remedy that is named helps."""
     path, channel = tmp_path / "hand.toml", new_channel()
-    fingers = ((5, 1006, "thumb"), (6, 1005, "index"))
-    tables = (f'[[finger]]\nnode_id = {k}\nserial = {serial}\nname = "{name}"\n' for k, serial, name in fingers)
-    path.write_text("[hand]\n" + "".join(tables))
     bus = f"-i virtual -c {channel}"
-    words = f"{command.replace('FILE', str(path))} {bus}"
-    with running([finger(5), finger(6)], channel):
-        _, out, err = tipforce(words, code=1)
-        assert "swapped serial numbers: thumb (5) has 1005, index (6) has 1006" in out + err
-        for remedy in re.findall(r"`tipforce ([ln][^`]+)`", out + err):
-            tipforce(f"{remedy} {bus}", code=0)
-        time.sleep(0.2)
-        assert "swapped" not in str(tipforce(words))
+    words = f"{command} {path} {bus}"
+    tables = '[[finger]]\nnode_id = 5\nserial = 1006\nname = "thumb"\n[[finger]]\nnode_id = 6\nname = "index"\n'
+    path.write_text(tables.replace("serial = 1006\n", ""))
+    with running([finger(5)], channel):
+        text = "".join(printed(command.startswith("doctor"), words))
+        assert "no identity on the bus: index (6)" in text
+        assert "`tipforce lss scan`" in text
+        path.write_text(f"{tables}serial = 1005\n")
+        with running([finger(6)], channel):
+            text = "".join(printed(1, words))
+            assert "swapped serial numbers: thumb (5) has 1005, index (6) has 1006" in text
+            for remedy in re.findall(r"`tipforce ([ln][^`]+)`", text):
+                printed(0, f"{remedy} {bus}")
+            time.sleep(0.2)
+            exit_code(words)
+            assert "swapped" not in str(capsys.readouterr())
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from tipforce.host.configuration.calibration import write_calibration
 from tipforce.scene import beam_calibration
 from tipforce.sensor.calibration.simulation import simulate
 from tools.blocks import CONTACTS_LOG
-from tools.rig import Tipforce, write_readings
+from tools.rig import Printed, write_readings
 
 SCENES = Path(__file__).parents[2] / "scenes"
 EXTENDED = "".join(f"(1700000000.{k:06d}) can0 18FEF1{k:02X}#0102030405060708\n" for k in range(40))
@@ -411,7 +411,7 @@ def files(folder: Path) -> dict[Path, bytes]:
 
 @pytest.mark.parametrize(("command", "code", "text"), WRONG, ids=[command for command, _, _ in WRONG])
 def test_one_line_the_next_step_and_the_exit_code(
-    command: str, code: int, text: str, folder: Path, monkeypatch: pytest.MonkeyPatch, tipforce: Tipforce
+    command: str, code: int, text: str, folder: Path, monkeypatch: pytest.MonkeyPatch, printed: Printed
 ) -> None:
     monkeypatch.chdir(folder)
     monkeypatch.setenv("HOME", str(folder / "taken"))
@@ -419,10 +419,9 @@ def test_one_line_the_next_step_and_the_exit_code(
     before = files(folder)
     channel = new_channel()
     with connected(*([finger(5)] if command.endswith(" BUS") else ()), channel=channel):
-        ended = tipforce(command.replace(" BUS", f" -i virtual -c {channel}"))
-    assert ended.code == code, ended.err
-    assert ended.out == ""
-    assert text in ended.err
-    assert len(ended.err.splitlines()) <= (2 if code == 1 else 1), ended.err  # of a log also its first bad line
-    assert "None" not in ended.err
+        out, err = printed(code, command.replace(" BUS", f" -i virtual -c {channel}"))
+    assert out == ""
+    assert text in err
+    assert len(err.splitlines()) <= (2 if code == 1 else 1), err  # of a log also its first bad line
+    assert "None" not in err
     assert files(folder) == before
