@@ -3,11 +3,13 @@
 import logging
 import signal
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 import pytest
 
 from canopen_device.core.node import Device
 from canopen_device.running import loop
+from tools.hand_log import FAULTS, write_hand_log
 from tools.rig import Printed, Streams, exit_code
 
 
@@ -44,6 +46,16 @@ def devices(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
 
     monkeypatch.setattr(loop, "run", run)
     return devices
+
+
+@pytest.fixture(scope="session")
+def hand_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two seconds of node 5 with every fault; its PDOs from 1.2 s to 1.25 s are lost."""
+    path = write_hand_log(tmp_path_factory.mktemp("hand") / "run.log", (5,), 2.0, FAULTS)
+    lines = path.read_text().splitlines(True)
+    kept = [line for line in lines if "85#" not in line or not "(1700000001.2" <= line < "(1700000001.25"]
+    path.write_text("".join(kept))
+    return path
 
 
 @pytest.fixture

@@ -337,22 +337,12 @@ def test_another_device_is_compared_with_nothing(on_bus: Printed, bench: tuple[B
 
 
 HAND = """
-[bus]
-interface = "virtual"
-channel = "{channel}"
-[hand]
-sync_hz = 50
-heartbeat_ms = 50
-[[finger]]
-name = "thumb"
-node_id = 1
-serial = 1
-calibration = "cal.toml"
-[[finger]]
-name = "index"
-node_id = 2
-serial = 2
-calibration = "cal.toml"
+bus = {{ interface = "virtual", channel = "{channel}" }}
+hand = {{ sync_hz = 50, heartbeat_ms = 50 }}
+finger = [
+    {{ name = "thumb", node_id = 1, serial = 1, calibration = "cal.toml" }},
+    {{ name = "index", node_id = 2, serial = 2, calibration = "cal.toml" }},
+]
 """
 
 
@@ -408,7 +398,7 @@ def test_run_prints_rows_and_counts(hand: tuple[ExitStack, Path], printed: Print
 
 def test_an_uncalibrated_finger_is_named_and_its_rows_say_why(hand: tuple[ExitStack, Path], printed: Printed) -> None:
     path = hand[1]
-    path.write_text(path.read_text().replace('calibration = "cal.toml"', "", 1))
+    path.write_text(path.read_text().replace(', calibration = "cal.toml"', "", 1))
     out, err = printed(0, f"hand up {path}")
     assert "thumb (1): up, not calibrated: P, phi and theta are unknown" in out
     assert HINT.format(1) in err

@@ -232,14 +232,8 @@ def test_config_of_another_device(tmp_path: Path, printed: Printed) -> None:
 
 
 HAND = """\
-[hand]
-sync_hz = 200
-[[finger]]
-node_id = 1
-name = "thumb"
-[[finger]]
-node_id = 2
-name = "2nd finger"
+hand = { sync_hz = 200 }
+finger = [{ node_id = 1, name = "thumb" }, { node_id = 2, name = "2nd finger" }]
 """
 SPACE = "{http://www.canopen.org/xml/1.1}"
 

@@ -31,14 +31,8 @@ from tools.test_log import counting
 SCENE = """
 duration_s = 0.05
 sync_hz = 200
-[[nodes]]
-ids = [1]
-pdos = ["contact"]
-[[loads]]
-kind = "static"
-P_N = 2.0
-phi_deg = -90
-theta_deg = 80
+nodes = [{ ids = [1], pdos = ["contact"] }]
+loads = [{ kind = "static", P_N = 2.0, phi_deg = -90, theta_deg = 80 }]
 [outputs]
 """
 
