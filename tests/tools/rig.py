@@ -58,10 +58,12 @@ def until(condition: Callable[[], object]) -> None:
         time.sleep(0.002)
 
 
-def in_namespace(script: str, *words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+def in_namespace(
+    script: str, *words: object, cwd: Path | None = None, **variables: str
+) -> subprocess.CompletedProcess[str]:
     """Run lines of bash in a network namespace with loopback alone; where there can be none, skip the test."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"], "/sbin", "/usr/sbin"])
-    environment = {**os.environ, "PATH": path, "PYTHONPATH": os.pathsep.join(sys.path)}
+    environment = {**os.environ, "PATH": path, "PYTHONPATH": os.pathsep.join(sys.path), **variables}
 
     def run(*arguments: str) -> subprocess.CompletedProcess[str]:
         command = ["unshare", "--map-root-user", "--net", "bash", "-c", *arguments]
