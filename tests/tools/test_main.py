@@ -19,9 +19,9 @@ from tipforce.dictionary.table import SOFTWARE_VERSION
 from tipforce.errors import EnvironmentLackError, InputError, LogError, TipforceError
 from tipforce_tools.cli import bus_flags, common, tables
 from tipforce_tools.cli.main import COMMANDS, EXIT_CODES, command_parser, main
-from tools.command_lines import LINES
 from tools.decode.logs import log_lines, write_log
 from tools.rig import TIPFORCE, Printed
+from tools.test_completion import LINES
 
 HEAVY_FOR_ALL = ("numpy", "can", "canopen", "cantools", "msgspec", "rich", "shtab", "websockets")
 HEAVY = (*HEAVY_FOR_ALL, "hypothesis", "cyclonedds", "mcap")
