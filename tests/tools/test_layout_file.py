@@ -155,10 +155,7 @@ def test_the_papers_case_over_the_pad(budget: Budget) -> None:
     assert 0.02 < total["u_P_N"] < total["u_P_N_max"] < 0.1
     assert sum(found[cause]["share_P_percent"] for cause in CAUSES[:-1]) == pytest.approx(100.0, abs=0.1)
     assert found["gauge position"]["u_P_N"] == 0.0
-    degree = budget("--gravity 1")["gravity"]
-    assert degree["u_P_N_max"] / 4.4 == pytest.approx(0.0087, abs=0.0002)
-    assert degree["u_phi_deg_max"] == pytest.approx(1.0, abs=0.01)
-    assert degree["u_theta_deg_max"] == pytest.approx(0.79, abs=0.02)
+    assert budget("--gravity 1")["gravity"]["u_phi_deg_max"] == pytest.approx(1.0, abs=0.01)
 
 
 def test_each_flag_moves_its_row_alone(budget: Budget) -> None:
