@@ -1,12 +1,11 @@
 """`tipforce node`: what its flags make; --source from its words to scaled readings or a recording, or what to do."""
 
-import csv
 import errno
 import re
 import sys
-import types
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import can
 import pytest
@@ -120,11 +119,11 @@ def started(devices: list[Device]) -> Started:
 
 @pytest.fixture
 def refused(devices: list[Device], capsys: pytest.CaptureFixture[str]) -> Refused:
-    """Run a node with a layout and words that must be refused before it runs; what is said."""
+    """Run a node with a layout and a source that must be refused before it runs; what is said."""
 
-    def run(layout: object, *words: object) -> str:
+    def run(layout: object, source: str, *words: object) -> str:
         before = len(devices)
-        assert (run_node("-q", "--layout", layout, *words), len(devices)) == (2, before)
+        assert (run_node("-q", "--layout", layout, "--source", source, *words), len(devices)) == (2, before)
         return capsys.readouterr().err
 
     return run
@@ -183,7 +182,7 @@ def test_without_a_scale_the_table_must_state_volts_per_count(
 ) -> None:
     tree.add(0, "a", {"voltage0": 1, "voltage1": 1, "voltage2": 1})
     path = layout(tree.folder, BRIDGE)
-    said = refused(path, "--source", "iio:a")
+    said = refused(path, "iio:a")
     assert "device0/voltage0: the driver states no scale; state the converter's step" in said
 
     def refuse(_path: Path, _channel: str, name: str) -> float | None:
@@ -192,7 +191,7 @@ def test_without_a_scale_the_table_must_state_volts_per_count(
         return None
 
     monkeypatch.setattr(iio_sysfs, "attribute", refuse)
-    said = refused(path, "--source", "iio:a")
+    said = refused(path, "iio:a")
     assert "does not state its scale (Invalid argument: no regulator)" in said
     assert "[bridge] volts_per_count" in said
     path.write_text(BRIDGE + "volts_per_count = 0.001\n")
@@ -205,17 +204,17 @@ def test_what_does_not_fit_is_said(tree: Tree, refused: Refused, words: str, tex
     tree.add(1, "b", {"voltage": 1}, bits="le:u8/8>>0", in_voltage_scale="1")
     tree.add(2, "c", {"voltage": 1}, bits="", in_voltage_scale="1")
     tree.add(3, "d", {}, bits="")
-    assert message in refused(layout(tree.folder, text), "--source", words)
+    assert message in refused(layout(tree.folder, text), words)
 
 
 def test_capture_by_a_trigger_that_is_not_there(tree: Tree, started: Started, refused: Refused) -> None:
     tree.add(0, "a", {"voltage0": 1, "voltage1": 1, "voltage2": 1}, in_voltage_scale="1")
     path = layout(tree.folder, BRIDGE)
-    assert "--trigger t0: no such trigger; there are none" in refused(path, "--source", "iio:a", "--trigger", "t0")
-    assert "modprobe iio-trig-hrtimer" in refused(path, "--source", "iio:a", "--capture", "buffer")
+    assert "--trigger t0: no such trigger; there are none" in refused(path, "iio:a", "--trigger", "t0")
+    assert "modprobe iio-trig-hrtimer" in refused(path, "iio:a", "--capture", "buffer")
     tree.add_trigger(0, "adc-dev0")
     assert started(path, "iio:a")[1].read(0) is not None, "a trigger, but no buffer: polled, and said"
-    assert "buffered capture cannot be set up" in refused(path, "--source", "iio:a", "--capture", "buffer")
+    assert "buffered capture cannot be set up" in refused(path, "iio:a", "--capture", "buffer")
 
 
 def test_the_bridge_table_is_the_node_s_alone(tmp_path: Path) -> None:
@@ -225,9 +224,10 @@ def test_the_bridge_table_is_the_node_s_alone(tmp_path: Path) -> None:
     assert "bridge" not in layout_text(*read_layout(str(path)))
 
 
-class _Attribute:
-    def __init__(self, text: str) -> None:
-        self.value = text
+class Gone:
+    @property
+    def value(self) -> str:
+        raise OSError(errno.ETIMEDOUT, "Connection timed out")
 
 
 def test_a_remote_board_by_a_stand_in_for_pylibiio(
@@ -236,54 +236,40 @@ def test_a_remote_board_by_a_stand_in_for_pylibiio(
     """pylibiio itself needs libiio and a board with iiod: here its classes are played by a few lines."""
     up = [True]
 
-    def channel(name: str, **attributes: str) -> types.SimpleNamespace:
-        attrs = {key: _Attribute(text) for key, text in attributes.items()}
-        return types.SimpleNamespace(id=name, output=False, attrs=attrs)
+    def channel(name: str, **attributes: str) -> SimpleNamespace:
+        attrs = {key: SimpleNamespace(value=text) for key, text in attributes.items()}
+        return SimpleNamespace(id=name, output=False, attrs=attrs)
 
-    board = types.SimpleNamespace(
-        name="adc", id="iio:device0",
-        channels=[channel(f"voltage{k}", raw=str(10 * k), scale="0.5", offset="-3") for k in (0, 1, 2)]
-        + [channel("temp", raw="100", scale="250")],
-    )  # fmt: skip
+    gauges = [channel(f"voltage{k}", raw=str(10 * k), scale="0.5", offset="-3") for k in (0, 1, 2)]
+    board = SimpleNamespace(name="adc", id="iio:device0", channels=[*gauges, channel("temp", raw="100", scale="250")])
 
-    class Context:
-        def __init__(self, uri: str) -> None:
-            if not up[0]:
-                raise OSError(errno.ECONNREFUSED, "Connection refused")
-            assert uri == "ip:board"
-            self.devices = [board]
+    def set_timeout(timeout_ms: int) -> None:
+        assert timeout_ms < 100
 
-        def set_timeout(self, timeout_ms: int) -> None:
-            assert timeout_ms < 100
-
-        def find_device(self, name: str) -> types.SimpleNamespace | None:
-            return board if name == "adc" else None
+    def context(uri: str) -> SimpleNamespace:
+        if not up[0]:
+            raise OSError(errno.ECONNREFUSED, "Connection refused")
+        assert uri == "ip:board"
+        return SimpleNamespace(devices=[board], set_timeout=set_timeout, find_device={"adc": board}.get)
 
     path = layout(tree.folder, BRIDGE + "count_range = [0, 4095]\n")
     monkeypatch.setitem(sys.modules, "iio", None)
-    assert "pip install 'tipforce[iio]'" in refused(path, "--source", "iio:ip:board/adc")
-    monkeypatch.setitem(sys.modules, "iio", types.SimpleNamespace(Context=Context))
-    assert "no such device; allowed: adc" in refused(path, "--source", "iio:ip:board/dac")
+    assert "pip install 'tipforce[iio]'" in refused(path, "iio:ip:board/adc")
+    monkeypatch.setitem(sys.modules, "iio", SimpleNamespace(Context=context))
+    assert "no such device; allowed: adc" in refused(path, "iio:ip:board/dac")
     device, source = started(path, "iio:ip:board/adc")
     assert isinstance(source, IioSource)
     source.parts[0].reopen()  # the node closed it when it ended
     assert source.read(1_000_000) == ((0, 10, 20), 0, 2500)
     assert device.od.get(0x6120, 1) == 5000 + 3
-    board.channels[1].attrs["raw"] = type("Gone", (), {"value": property(_gone)})()
-    assert (source.read(1_001_000), source.faults) == (None, 1 << 8)
-    up[0] = False
-    assert (source.read(1_200_000), source.faults) == (None, 1 << 8)
-    up[0] = True
-    board.channels[1].attrs["raw"] = _Attribute("?")  # what is no number does not end the node
-    assert (source.read(1_300_500), source.faults) == (None, 1 << 8)
-    board.channels[1].attrs["raw"] = _Attribute("11")
+    no_number = SimpleNamespace(value="?")  # does not end the node
+    for raw, up[0], now_us in ((Gone(), True, 1_001_000), (Gone(), False, 1_200_000), (no_number, True, 1_300_500)):
+        gauges[1].attrs["raw"] = raw
+        assert (source.read(now_us), source.faults) == (None, 1 << 8)
+    gauges[1].attrs["raw"] = SimpleNamespace(value="11")
     assert (counts(source, 1_500_000), source.faults) == ([(0, 11, 20)], 0)
     up[0] = False
-    assert "check that iiod runs there: `iio_info -u ip:board`" in refused(path, "--source", "iio:ip:board/adc")
-
-
-def _gone(_self: object) -> str:
-    raise OSError(errno.ETIMEDOUT, "Connection timed out")
+    assert "check that iiod runs there: `iio_info -u ip:board`" in refused(path, "iio:ip:board/adc")
 
 
 def counts(source: Source, *times_us: int) -> list[tuple[int, ...] | None]:
@@ -330,8 +316,7 @@ def test_doctor_without_converters(tree: Tree, monkeypatch: pytest.MonkeyPatch) 
 
 def test_a_recording_in_csv(tmp_path: Path, started: Started) -> None:
     path = tmp_path / "session.csv"
-    with path.open("w", newline="") as file:
-        csv.writer(file).writerows([["t_s", "SG1", "SG2", "SG3", "P_N"], [1, 1.04, -2, 3, 0], [1.5, 4, 5, 9999, 0]])
+    path.write_text("t_s,SG1,SG2,SG3,P_N\n1,1.04,-2,3,0\n1.5,4,5,9999,0\n")
     _, source = started("I", f"replay:{path}", "--speed", "2", "--loop")
     assert isinstance(source, ReplaySource)
     first = (10, -20, 30)
@@ -349,6 +334,6 @@ def test_a_recording_of_candump(tmp_path: Path, started: Started, refused: Refus
         "(1.004000) can0 186#0100010001000201",
     )
     path.write_text("\n".join(lines) + "\n")
-    assert f"contains gauges of the nodes 5, 6; choose one: {path}@5" in refused("I", "--source", f"replay:{path}")
+    assert f"contains gauges of the nodes 5, 6; choose one: {path}@5" in refused("I", f"replay:{path}")
     _, source = started("I", f"replay:{path}@5")
     assert counts(source, 0, 1500, 3500) == [(10, -20, 30), None, (32767, -32768, 5)]

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -104,36 +105,26 @@ def test_an_ordinary_user_gets_a_user_namespace(user: int, monkeypatch: pytest.M
 # Arguments
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (["--", "echo", "hi"], ["echo", "hi"]),
-        (["echo", "-n", "--uml"], ["echo", "-n", "--uml"]),
-        (["--uml", "--timeout", "5", "--", "sh", "-c", "exit 1"], ["sh", "-c", "exit 1"]),
-        (["--", "env", "--", "ls"], ["env", "--", "ls"]),
-    ],
-)
-def test_the_command_is_taken_word_for_word(
-    words: list[str], expected: list[str], monkeypatch: pytest.MonkeyPatch, asked: list[tuple[str, list[str]]]
-) -> None:
-    fake_kernel(monkeypatch)
-    assert vcan.run(parse(*words)) == 4
-    assert asked == [("uml", expected)]
-
-
 def stdin(*, terminal: bool) -> SimpleNamespace:
     return SimpleNamespace(isatty=lambda: terminal)
 
 
-@pytest.mark.parametrize(("shell", "expected"), [("/bin/sh", "/bin/sh"), ("/no/such/shell", "bash"), ("", "bash")])
-def test_no_command_is_a_shell_on_a_terminal(
-    shell: str, expected: str, monkeypatch: pytest.MonkeyPatch, asked: list[tuple[str, list[str]]]
+@pytest.mark.parametrize(
+    ("words", "shell", "expected"),
+    [
+        ("-- echo hi", "", "echo hi"), ("echo -n --uml", "", "echo -n --uml"), ("-- env -- ls", "", "env -- ls"),
+        ("--uml --timeout 5 -- sh -c 'exit 1'", "", "sh -c 'exit 1'"),
+        ("", "/bin/sh", "/bin/sh"), ("", "/no/such/shell", "bash"), ("", "", "bash"),
+    ],
+)  # fmt: skip
+def test_the_command_is_taken_word_for_word_and_without_one_it_is_a_shell_on_a_terminal(
+    words: str, shell: str, expected: str, monkeypatch: pytest.MonkeyPatch, asked: list[tuple[str, list[str]]]
 ) -> None:
     fake_kernel(monkeypatch)
     monkeypatch.setattr(sys, "stdin", stdin(terminal=True))
     monkeypatch.setenv("SHELL", shell)
-    vcan.run(parse())
-    assert asked == [("uml", [expected])]
+    assert vcan.run(parse(*shlex.split(words))) == 4
+    assert asked == [("uml", shlex.split(expected))]
 
 
 @pytest.mark.parametrize(
