@@ -21,7 +21,6 @@ from bench.measure import background
 from canopen_device.core.node import Device
 from host.bus_with_nodes import new_channel
 from tipforce.fingertip.node import Fingertip
-from tipforce.fingertip.source import Source
 from tipforce.sensor.calibration.simulation import Simulated
 from tipforce_tools.cli.main import main
 
@@ -34,6 +33,11 @@ def write_readings(path: Path, sim: Simulated, **more: Sequence[object]) -> None
     columns |= {"theta_deg": np.degrees(sim.theta_rad).tolist(), **more}
     rows = zip(*columns.values(), strict=True)
     path.write_text("\n".join([",".join(columns), *(",".join(map(str, row)) for row in rows), ""]))
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """The content of every file below a folder."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 class Clock:
@@ -115,8 +119,8 @@ def run_node(*words: object, channel: str = "") -> int:
     return main(["node", "--node-id", "5", "-i", "virtual", "-c", channel or new_channel(), *map(str, words)])
 
 
-def source_of(device: Device) -> Source:
-    """The gauges of a fingertip."""
+def source_of(device: Device) -> Any:
+    """The gauges of a fingertip, of the class that its flags ask for."""
     assert isinstance(device.application, Fingertip)
     return device.application.source
 

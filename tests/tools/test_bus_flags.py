@@ -121,6 +121,10 @@ def can_link(changes: Mapping[str, object] = UP, **info: Any) -> Link:
     return link_of({**UP, "linkinfo": {"info_kind": "can", "info_data": data}, **changes})
 
 
+PASSIVE = can_link(state="ERROR-PASSIVE", berr_counter={"tx": 128, "rx": 0})
+FASTER = "set can0 up type can bitrate 1000000"
+
+
 @pytest.fixture(autouse=True)
 def _no_other_bus(monkeypatch: pytest.MonkeyPatch) -> None:
     """test_vcan_boot.py and test_udp_multicast.py have the real ones."""
@@ -153,7 +157,7 @@ def test_a_bus_that_does_not_open(printed: Printed) -> None:
         (can_link(), "ok", "up, 500000 bit/s", ""),
         (can_link({"flags": ["NOARP"]}), "fail", "down, 500000", "ip link set can0 up type can bitrate 500000"),
         (can_link(state="BUS-OFF"), "fail", "bus-off", "type can restart"),
-        (can_link(state="ERROR-PASSIVE", berr_counter={"tx": 128, "rx": 0}), "fail", "sent 128", "bitrate 1000000"),
+        (PASSIVE, "fail", "sent 128", FASTER),
         (can_link({"txqlen": 10}), "note", "queue of 10", "txqueuelen 1000"),
         (can_link({"linkinfo": {"info_kind": "vcan"}, "txqlen": 10}), "ok", "up, virtual", ""),
     ],
@@ -319,13 +323,9 @@ def test_a_finger_that_does_not_respond_and_swapped_serial_numbers(
         (
             Observed(errors=7, link=can_link()),
             "(500000 bit/s here), or no node acknowledges: 7 error frames, and",
-            "set can0 up type can bitrate 1000000",
+            FASTER,
         ),
-        (
-            Observed(heard_s=3.0, link=can_link(state="ERROR-PASSIVE", berr_counter={"tx": 128, "rx": 0})),
-            "error-passive, errors sent 128, received 0, and no other frame",
-            "set can0 up type can bitrate 1000000",
-        ),
+        (Observed(heard_s=3.0, link=PASSIVE), "error-passive, errors sent 128, received 0, and no other frame", FASTER),
         (Observed(heard_s=3.0, link=can_link(state="BUS-OFF")), "can0 is bus-off", "type can restart"),
         (Observed(errors=7, frames=9), "7 error frames beside 9 frames", "dump -e can0,#FFFFFFFF"),
         (Observed(emergencies={7: (0x8240, 0x11)}), "node 7 (0x07): the SYNC does not fit 1019h", "sdo write 7 0x1019"),

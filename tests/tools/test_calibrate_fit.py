@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration, read_calibration, write_calibration
 from tipforce.host.decoding import estimator
@@ -26,7 +26,6 @@ from tools.rig import Printed, write_readings
 
 LIMIT = ("--saturation", "853.85")
 """Of the simulated converter, just below the value that it clips to."""
-FloatArray = npt.NDArray[np.float64]
 Fitted = Callable[..., dict[str, Any]]
 Rows = tuple[list[dict[str, str]], str]
 Estimated = Callable[..., Rows]

@@ -1,9 +1,7 @@
 """`tipforce design table|sweep|optimise`: numbers, figures, files, and what they say to wrong words."""
 
 import contextlib
-import importlib.util
 import io
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,12 +14,8 @@ from tipforce.sensor.structure.strain import gauge_matrix
 from tipforce.sources.layout_file import read_layout
 from tipforce_lab.design.merit import merit
 from tipforce_lab.design.other_bodies import condition_range
-from tipforce_tools.cli.main import main
-from tools.rig import Printed
+from tools.rig import Printed, Streams, exit_code
 
-NEEDS_MATPLOTLIB = pytest.mark.skipif(
-    importlib.util.find_spec("matplotlib") is None, reason="figures need the extra `plot`"
-)
 QUICK = "--starts 2"
 Optimised = Callable[[str], list[dict[str, Any]]]
 
@@ -34,8 +28,8 @@ def rows(found: list[dict[str, Any]], table: str) -> list[dict[str, Any]]:
 def everything() -> list[dict[str, Any]]:
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
-        assert main(["design", "table", "all", "--repeats", "50", "--json"]) == 0
-    return [json.loads(line) for line in out.getvalue().splitlines()]
+        assert exit_code("design table all --repeats 50 --json") == 0
+    return Streams(out.getvalue(), "").records
 
 
 def test_every_table_is_there_with_its_explanation(everything: list[dict[str, Any]]) -> None:
@@ -150,7 +144,6 @@ def test_sweep_of_a_shift_is_figure_6(printed: Printed, everything: list[dict[st
             assert swept[shift] == pytest.approx(condition)
 
 
-@NEEDS_MATPLOTLIB
 def test_figures_are_reproducible_and_small(printed: Printed, tmp_path: Path) -> None:
     for what, name in (("all", "one"), ("3", "two"), ("scaling", "two")):  # which has no figure
         printed(0, f"design table {what} --repeats 5 -q -o {tmp_path / name}")
@@ -165,7 +158,6 @@ def test_figures_are_reproducible_and_small(printed: Printed, tmp_path: Path) ->
     assert again.read_bytes() == (tmp_path / "one" / again.name).read_bytes()
 
 
-@NEEDS_MATPLOTLIB
 def test_sweep_figure(printed: Printed, tmp_path: Path) -> None:
     path = tmp_path / "r.png"
     assert f"wrote {path}" in printed(0, f"design sweep r --steps 5 -o {path}").err

@@ -6,11 +6,11 @@ import re
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from rich.console import Console
 from rich.table import Table
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.scene import beam_calibration
@@ -37,7 +37,6 @@ nodes = [{ ids = [5, 6], pdos = ["gauges", "contact"], layout = "II" }]
 loads = [{ kind = "static", P_N = 2.0, phi_deg = -90, theta_deg = 80 }]
 expect = [{ from_s = 0.1, to_s = 0.2, P_error_N = 0.1 }]
 """
-FloatArray = npt.NDArray[np.float64]
 
 LOADS = len(CASES) * 2 * len(GROOVES_DEG)
 
@@ -267,19 +266,15 @@ def test_a_run_as_json(printed: Printed, tmp_path: Path) -> None:
     assert log.stat().st_size > 0
 
 
-def test_an_expectation_that_fails_is_exit_code_1(printed: Printed, tmp_path: Path) -> None:
-    text = (SCENES / "static.toml").read_text().replace("P_error_N = 0.01", "P_error_N = 1e-6")
-    (tmp_path / "scene.toml").write_text(text)
-    out = printed(1, f"run {tmp_path / 'scene.toml'}").out
-    assert re.search(r"FAILED\W+0 s to 1 s: largest error of P at most 1e-06 N\W+1\W+0\.001 N", out)
-    assert "FAIL: 4 of 5" in out
-
-
-def test_a_bus_that_cannot_carry_it_is_told(printed: Printed, tmp_path: Path) -> None:
-    text = (SCENES / "static.toml").read_text().replace("sync_hz", "bit_rate = 50000\nsync_hz")
-    (tmp_path / "scene.toml").write_text(text)
-    assert "too much for a bus of 50000 bit/s: 316 % load" in printed(0, f"run {tmp_path / 'scene.toml'}").err
-    assert "(it does not fit)" in printed(0, f"run --explain {tmp_path / 'scene.toml'}").out
+def test_an_expectation_that_fails_is_exit_code_1_and_a_bus_that_cannot_carry_it_is_told(
+    scene: Path, printed: Printed
+) -> None:
+    scene.write_text("bit_rate = 20000\n" + SCENE.replace("P_error_N = 0.1", "phi_error_deg = 1e-6"))
+    out, err = printed(1, f"run {scene}")
+    assert re.search(r"FAILED\W+0\.1 s to 0\.2 s: largest error of phi at most 1e-06 deg\W+5,6\W+0\.02 deg", out)
+    assert "FAIL: 0 of 2" in out
+    assert "too much for a bus of 20000 bit/s: 246 % load" in err
+    assert "(it does not fit)" in printed(0, f"run --explain {scene}").out
 
 
 def test_explain_prints_every_part_and_identifier(printed: Printed) -> None:

@@ -120,30 +120,25 @@ WRAPPED = OSError("could not open")
 WRAPPED.__cause__ = PermissionError()
 
 
+CAUSES: list[tuple[Exception, int]] = [
+    (PermissionError(13, "Permission denied"), 9), (PermissionError(1, "Operation not permitted"), 9), (WRAPPED, 9),
+    (FileNotFoundError(2, "x"), 2), (ValueError("x"), 2),
+]  # fmt: skip
+
+
 @pytest.mark.parametrize(
-    ("cause", "code"),
+    ("error", "cause", "code"),
     [
-        (PermissionError(13, "Permission denied"), 9), (PermissionError(1, "Operation not permitted"), 9), (WRAPPED, 9),
-        (FileNotFoundError(2, "x"), 2), (ValueError("x"), 2),
+        *((EnvironmentLackError("an operation is not permitted"), *cause) for cause in CAUSES),
+        *((InputError("x"), *cause) for cause in CAUSES),
+        (PermissionError(13, "Permission denied", "x.toml"), None, 9), (TipforceError("x"), None, 1),
     ],
 )  # fmt: skip
-@pytest.mark.parametrize("error", [EnvironmentLackError("an operation is not permitted"), InputError("x")])
-def test_a_lack_of_permission_is_9(run_command: Run, error: TipforceError, cause: BaseException, code: int) -> None:
-    assert run_command(raising(error, cause)) == code
-
-
-@pytest.mark.parametrize(
-    ("error", "code", "text"),
-    [
-        (PermissionError(13, "Permission denied", "x.toml"), 9, "[Errno 13] Permission denied: 'x.toml'"),
-        (TipforceError("x"), 1, "x"),
-    ],
-)
-def test_an_error_is_one_line(
-    run_command: Run, error: Exception, code: int, text: str, capsys: pytest.CaptureFixture[str]
+def test_an_error_is_one_line_and_a_lack_of_permission_is_9(
+    run_command: Run, error: Exception, cause: Exception | None, code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run_command(raising(error)) == code
-    assert capsys.readouterr() == ("", f"tipforce: {text}\n")
+    assert run_command(raising(error, cause)) == code
+    assert capsys.readouterr() == ("", f"tipforce: {error}\n")
 
 
 def test_a_fault_of_ours_keeps_its_traceback(run_command: Run) -> None:

@@ -25,7 +25,7 @@ from tipforce.scene import beam_calibration
 from tipforce.sensor.calibration.simulation import simulate
 from tipforce_tools.cli.main import COMMANDS
 from tools.blocks import CONTACTS_LOG
-from tools.rig import Printed, exit_code, write_readings
+from tools.rig import Printed, exit_code, files, write_readings
 from tools.test_log import counting
 
 SCENE = """
@@ -89,10 +89,6 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, outputs in (("scene", ""), ("table", 'table = "table.csv"\n'), ("plot", 'plot = "scene.svg"\n')):
         (folder / f"{name}.toml").write_text(SCENE + outputs)
     return folder
-
-
-def files(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 @pytest.mark.parametrize(("command", "name", "old"), WRITES, ids=[f"{c.split()[0]}-{n}" for c, n, _ in WRITES])

@@ -12,7 +12,7 @@ from tipforce.host.configuration.calibration import write_calibration
 from tipforce.scene import beam_calibration
 from tipforce.sensor.calibration.simulation import simulate
 from tools.blocks import CONTACTS_LOG
-from tools.rig import Printed, write_readings
+from tools.rig import Printed, files, write_readings
 
 SCENES = Path(__file__).parents[2] / "scenes"
 EXTENDED = "".join(f"(1700000000.{k:06d}) can0 18FEF1{k:02X}#0102030405060708\n" for k in range(40))
@@ -388,11 +388,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_calibration(found / "steep.toml", replace(cal, C=cal.C * [1.0, 1.0, 1e-5]))
     write_readings(found / "data.csv", simulate("I", np.random.default_rng(4)))
     return found
-
-
-def files(folder: Path) -> dict[Path, bytes]:
-    paths = (*folder.iterdir(), *(folder / "taken").iterdir())
-    return {path: path.read_bytes() for path in paths if path.is_file()}
 
 
 @pytest.mark.parametrize(("command", "code", "text"), WRONG, ids=[command for command, _, _ in WRONG])
