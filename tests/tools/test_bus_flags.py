@@ -8,7 +8,7 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -18,7 +18,6 @@ from typing import Any
 import can
 import can.cli
 import pytest
-from bench.measure import background
 from can.interfaces import BACKENDS
 
 from host.bus_with_nodes import beam_calibration, connected, finger, new_channel, running
@@ -31,7 +30,7 @@ from tipforce.watching.findings import Observed, findings
 from tipforce_tools.cli import bus_flags
 from tipforce_tools.doctor import machine
 from tipforce_tools.doctor.machine import configuration_check, interface_check
-from tools.rig import Printed, exit_code
+from tools.rig import Printed, exit_code, message, sending
 
 
 def parsers() -> tuple[argparse.ArgumentParser, argparse.ArgumentParser]:
@@ -259,17 +258,9 @@ def situation(request: pytest.FixtureRequest) -> Iterator[tuple[str, str]]:
                 connection.finger(5).apply_calibration(beam_calibration(), store=False)
             if name in ("no SYNC", "not calibrated"):
                 connection.nmt("start", 5)
-            if name in ("not calibrated", "two nodes"):
-
-                def send(stop: Callable[[float], bool]) -> None:
-                    """SYNCs; or requests of the serial number, to which two nodes respond."""
-                    while not stop(0.02):
-                        if name == "not calibrated":
-                            connection.sync()
-                        else:
-                            connection.send(0x605, b"\x40\x18\x10\x04\0\0\0\0")
-
-                opened.enter_context(background(lambda stop: send(stop.wait)))
+            if name in ("not calibrated", "two nodes"):  # SYNCs; requests of the serial number
+                frame = message(0x080) if name == "not calibrated" else message(0x605, b"\x40\x18\x10\x04\0\0\0\0")
+                opened.enter_context(sending(channel, lambda _number: [frame], 0.02))
         yield name, channel
 
 
