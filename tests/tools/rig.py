@@ -1,5 +1,6 @@
 """A command line in this process: what it prints and its exit code."""
 
+import io
 import itertools
 import json
 import os
@@ -80,6 +81,13 @@ def in_namespace(
     if (trial := run("ip link set lo up")).returncode:
         pytest.skip(f"no network namespace here: {trial.stderr.strip()}")
     return run(script, "bash", *map(str, words))
+
+
+class Terminal(io.StringIO):
+    """A stdin with a person at it."""
+
+    def isatty(self) -> bool:
+        return True
 
 
 class Streams(NamedTuple):

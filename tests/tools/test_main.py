@@ -20,7 +20,7 @@ from tipforce.errors import EnvironmentLackError, InputError, LogError, Tipforce
 from tipforce_tools.cli import bus_flags, common, tables
 from tipforce_tools.cli.main import COMMANDS, EXIT_CODES, command_parser, main
 from tools.decode.logs import log_lines, write_log
-from tools.rig import TIPFORCE, Printed
+from tools.rig import TIPFORCE, Printed, Terminal
 from tools.test_completion import LINES
 
 HEAVY_FOR_ALL = ("numpy", "can", "canopen", "cantools", "msgspec", "rich", "shtab", "websockets")
@@ -266,13 +266,6 @@ def test_only_what_was_said_goes_to_python_can() -> None:
     words = ["-i", "socketcan", "-c", "vcan0", "-b", "500000", "--bus-kwargs", "receive_own_messages=True"]
     expected = {"interface": "socketcan", "channel": "vcan0", "bitrate": 500000, "receive_own_messages": True}
     assert bus_flags.bus_options(bus_arguments(*words)) == expected
-
-
-class Terminal(io.StringIO):
-    """A stdin with a person at it."""
-
-    def isatty(self) -> bool:
-        return True
 
 
 REAL = "-i socketcan -c can0"

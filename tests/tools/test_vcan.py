@@ -1,6 +1,7 @@
 """`tipforce vcan`, as far as it goes without booting anything: test_vcan_boot.py and the Makefile do that."""
 
 import argparse
+import io
 import os
 import shlex
 import shutil
@@ -9,13 +10,13 @@ import sys
 from collections.abc import Callable, Sequence
 from importlib.resources import files
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce_tools import vcan
 from tipforce_tools.kernel import host, uml
+from tools.rig import Terminal
 
 SCRIPT = files("tipforce_tools.kernel").joinpath("init.sh").read_text()
 needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="the machine has no bash")
@@ -78,7 +79,7 @@ def test_where_it_cannot_run_one_line_says_what_to_try(
 ) -> None:
     fake_kernel(monkeypatch)
     monkeypatch.setattr(sys, "platform", platform)
-    monkeypatch.setattr(sys, "stdin", stdin(terminal=False))
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
     with pytest.raises(error, match=message):
         vcan.run(parse(*words.split()))
 
@@ -103,10 +104,6 @@ def test_an_ordinary_user_gets_a_user_namespace(user: int, monkeypatch: pytest.M
 # Arguments
 
 
-def stdin(*, terminal: bool) -> SimpleNamespace:
-    return SimpleNamespace(isatty=lambda: terminal)
-
-
 @pytest.mark.parametrize(
     ("words", "shell", "expected"),
     [
@@ -119,7 +116,7 @@ def test_the_command_is_taken_word_for_word_and_without_one_it_is_a_shell_on_a_t
     words: str, shell: str, expected: str, monkeypatch: pytest.MonkeyPatch, asked: list[tuple[str, list[str]]]
 ) -> None:
     fake_kernel(monkeypatch)
-    monkeypatch.setattr(sys, "stdin", stdin(terminal=True))
+    monkeypatch.setattr(sys, "stdin", Terminal())
     monkeypatch.setenv("SHELL", shell)
     assert vcan.run(parse(*shlex.split(words))) == 4
     assert asked == [("uml", shlex.split(expected))]
@@ -138,7 +135,7 @@ def test_a_shell_is_told_where_it_is_and_what_becomes_of_its_files(
     flags: list[str], can_make: bool, expected: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fake_kernel(monkeypatch, can_make=can_make)
-    monkeypatch.setattr(sys, "stdin", stdin(terminal=True))
+    monkeypatch.setattr(sys, "stdin", Terminal())
     vcan.run(parse(*flags))
     said = capsys.readouterr()
     assert expected in said.err
@@ -177,7 +174,7 @@ def test_a_program_that_the_system_refuses_is_126_or_127(tmp_path: Path, capfd: 
 def test_a_timeout_or_a_signal_ends_the_command(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sys, "stdin", stdin(terminal=False))
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
     assert host.run_here(["sleep", "60"], timeout_s=0.2) == 1
     assert "ended after 0.2 s (--timeout)" in capfd.readouterr().err
     signals = f"sleep 0.3; kill -TERM {os.getpid()}; sleep 60"
@@ -256,7 +253,7 @@ def boot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Boot:
     monkeypatch.setattr(uml, "find_program", lambda _name: str(program))
     monkeypatch.setattr(uml, "require_parts", lambda: None)
     monkeypatch.setattr(uml, "preloading", lambda _folder: {})
-    monkeypatch.setattr(sys, "stdin", stdin(terminal=False))
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
 
     def run(script: str, timeout_s: float | None = None) -> int:
         read_arguments = (
