@@ -19,15 +19,10 @@ from device.tiny import service_dictionary
 from host.bus_with_nodes import apply_load, beam_calibration, connected, finger, new_channel, running
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.names import entries
-from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.configuration.device_objects import FingertipObjects
 from tipforce.host.network.bus import Bus
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
-from tipforce.sources.simulated import SimulatedSource
-from tipforce_tools.cli.main import main
-from tools.rig import Printed
+from tools.rig import Printed, exit_code
 
 ROOT = Path(__file__).parents[2]
 HINT = "node {0} (0x0{0}): not calibrated: tipforce calibrate guide --node {0}, or apply CAL.toml\n"
@@ -44,11 +39,7 @@ def bench(tmp_path: Path) -> Iterator[tuple[Bus, str]]:
 @pytest.fixture
 def unconfigured(tmp_path: Path) -> Iterator[tuple[Bus, str]]:
     """Three nodes without a node-id, serials 7, 0x80000001 and 9, and node 20; they can store."""
-    devices = []
-    rows = strain_matrix(FABRICATED, "I").tolist()
-    for serial in (7, 0x80000001, 9):
-        store = FileStore(tmp_path / f"{serial}.json")
-        devices.append(fingertip_node(255, SimulatedSource(rows), serial=serial, save=store.save, load=store.load))
+    devices = [finger(255, store=tmp_path / f"{serial}.json", serial=serial) for serial in (7, 0x80000001, 9)]
     channel = new_channel()
     with connected(finger(20), channel=channel) as (connection, _), running(devices, channel):
         yield connection, channel
@@ -173,9 +164,9 @@ def test_nmt_start_is_repeated_until_the_node_has_booted(capsys: pytest.CaptureF
     channel = new_channel()
     device = finger(7)
     codes: list[int] = []
-    words = ["nmt", "start", "7", "--wait", "-i", "virtual", "-c", channel]
     with Bus.open(channel, "virtual") as listener:
-        thread = threading.Thread(target=lambda: codes.append(main(words)))
+        line = f"nmt start 7 --wait -i virtual -c {channel}"
+        thread = threading.Thread(target=lambda: codes.append(exit_code(line)))
         thread.start()
         listener.wait_for({0x000}, timeout_s=20.0)  # it has sent the command once, to nobody
         with running([device], channel):

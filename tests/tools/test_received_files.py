@@ -15,14 +15,13 @@ from canopen_device.machine.file import read_machine
 from canopen_device.running.store import FileStore
 from canopen_device.testing import Conversation
 from eds.samples import described, text, var
+from host.bus_with_nodes import finger
 from tipforce.dictionary import objects as od
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.hand.file import read_hand
 from tipforce.host.network.interfaces import open_bus
 from tipforce.scene import beam_calibration
-from tipforce.sources.simulated import SimulatedSource
 from tools.decode.logs import decode, log_lines, write_log
 from tools.rig import Printed, exit_code
 
@@ -336,8 +335,7 @@ def test_an_mcap_is_its_log(printed: Printed) -> None:
 
 
 def test_a_node_and_a_machine_start_with_their_stores(folder: Path) -> None:
-    store = FileStore(folder / "node-5.json")
-    talk = Conversation(fingertip_node(5, SimulatedSource([[1.0, 0.0, 0.0]] * 3), save=store.save, load=store.load))
+    talk = Conversation(finger(5, store=folder / "node-5.json"))
     assert talk.upload(0x1017) == (250).to_bytes(2, "little")
     assert not any(can_id == 0x85 for can_id, _ in talk.sent)
     lamp, other, drive = read_machine(folder / "machine.toml")
