@@ -3,12 +3,14 @@
 import logging
 import signal
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 import pytest
 
 from canopen_device.core.node import Device
 from canopen_device.running import loop
-from tools.rig import Ended, Printed, Streams, Tipforce, called
+from tools.hand_log import FAULTS, write_hand_log
+from tools.rig import Printed, Streams, exit_code
 
 
 @pytest.fixture(autouse=True)
@@ -46,31 +48,23 @@ def devices(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
     return devices
 
 
-@pytest.fixture
-def bus_words() -> tuple[str, ...]:
-    """The flags of the bus of ``tipforce``; a file whose commands need one has a fixture of this name."""
-    return ()
-
-
-@pytest.fixture
-def tipforce(bus_words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> Tipforce:
-    """Run a command line, given as a text or as words, that must end with ``code``, if that is given."""
-
-    def run(*words: object, code: int | None = None) -> Ended:
-        line = str(words[0]).split() if len(words) == 1 else words
-        ended = called(capsys, *line, *bus_words)
-        assert code in (None, ended.code), ended.err
-        return ended
-
-    return run
+@pytest.fixture(scope="session")
+def hand_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two seconds of node 5 with every fault; its PDOs from 1.2 s to 1.25 s are lost."""
+    path = write_hand_log(tmp_path_factory.mktemp("hand") / "run.log", (5,), 2.0, FAULTS)
+    lines = path.read_text().splitlines(True)
+    kept = [line for line in lines if "85#" not in line or not "(1700000001.2" <= line < "(1700000001.25"]
+    path.write_text("".join(kept))
+    return path
 
 
 @pytest.fixture
 def printed(capsys: pytest.CaptureFixture[str]) -> Printed:
-    def run(code: int, words: str | Sequence[object]) -> Streams:
+    def run(code: int | set[int], words: str | Sequence[object]) -> Streams:
         capsys.readouterr()
-        ended = called(capsys, *(words.split() if isinstance(words, str) else words))
-        assert ended.code == code, ended.err
-        return Streams(ended.out, ended.err)
+        ended = exit_code(words)
+        streams = Streams(*capsys.readouterr())
+        assert ended in (code if isinstance(code, set) else {code}), streams.err
+        return streams
 
     return run

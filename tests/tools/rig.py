@@ -1,5 +1,6 @@
 """A command line in this process: what it prints and its exit code."""
 
+import io
 import itertools
 import json
 import os
@@ -21,7 +22,6 @@ from bench.measure import background
 from canopen_device.core.node import Device
 from host.bus_with_nodes import new_channel
 from tipforce.fingertip.node import Fingertip
-from tipforce.fingertip.source import Source
 from tipforce.sensor.calibration.simulation import Simulated
 from tipforce_tools.cli.main import main
 
@@ -34,6 +34,11 @@ def write_readings(path: Path, sim: Simulated, **more: Sequence[object]) -> None
     columns |= {"theta_deg": np.degrees(sim.theta_rad).tolist(), **more}
     rows = zip(*columns.values(), strict=True)
     path.write_text("\n".join([",".join(columns), *(",".join(map(str, row)) for row in rows), ""]))
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """The content of every file below a folder."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 class Clock:
@@ -58,10 +63,12 @@ def until(condition: Callable[[], object]) -> None:
         time.sleep(0.002)
 
 
-def in_namespace(script: str, *words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+def in_namespace(
+    script: str, *words: object, cwd: Path | None = None, **variables: str
+) -> subprocess.CompletedProcess[str]:
     """Run lines of bash in a network namespace with loopback alone; where there can be none, skip the test."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"], "/sbin", "/usr/sbin"])
-    environment = {**os.environ, "PATH": path, "PYTHONPATH": os.pathsep.join(sys.path)}
+    environment = {**os.environ, "PATH": path, "PYTHONPATH": os.pathsep.join(sys.path), **variables}
 
     def run(*arguments: str) -> subprocess.CompletedProcess[str]:
         command = ["unshare", "--map-root-user", "--net", "bash", "-c", *arguments]
@@ -76,19 +83,11 @@ def in_namespace(script: str, *words: object, cwd: Path | None = None) -> subpro
     return run(script, "bash", *map(str, words))
 
 
-class Ended(NamedTuple):
-    """The exit code of a command, and what it wrote."""
+class Terminal(io.StringIO):
+    """A stdin with a person at it."""
 
-    code: int
-    out: str
-    err: str
-
-    @property
-    def records(self) -> list[dict[str, Any]]:
-        return [json.loads(line) for line in self.out.splitlines()]
-
-
-Tipforce = Callable[..., Ended]
+    def isatty(self) -> bool:
+        return True
 
 
 class Streams(NamedTuple):
@@ -102,16 +101,25 @@ class Streams(NamedTuple):
         return [json.loads(line) for line in self.out.splitlines()]
 
 
-Printed = Callable[[int, str | Sequence[object]], Streams]
-"""Run a command line, a text or words, that must end with this exit code; what it printed."""
+Printed = Callable[[int | set[int], str | Sequence[object]], Streams]
+"""Run a command line, a text or words, that must end with this exit code, or one of these; what it printed."""
 
 
-def called(capsys: pytest.CaptureFixture[str], *words: object) -> Ended:
+def exit_code(words: str | Sequence[object]) -> int:
+    """That of a command line, a text or words."""
     try:
-        code = main([str(word) for word in words])
+        return main(words.split() if isinstance(words, str) else [str(word) for word in words])
     except SystemExit as ended:  # argparse
-        code = int(ended.code or 0)
-    return Ended(code, *capsys.readouterr())
+        return int(ended.code or 0)
+
+
+TIPFORCE = (sys.executable, "-m", "tipforce_tools.cli.main")
+
+
+def process(line: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    """`tipforce LINE` in a process of its own."""
+    words = [*TIPFORCE, *line.split()]
+    return subprocess.run(words, capture_output=True, text=True, timeout=60, check=False, **options)
 
 
 def run_node(*words: object, channel: str = "") -> int:
@@ -119,8 +127,8 @@ def run_node(*words: object, channel: str = "") -> int:
     return main(["node", "--node-id", "5", "-i", "virtual", "-c", channel or new_channel(), *map(str, words)])
 
 
-def source_of(device: Device) -> Source:
-    """The gauges of a fingertip."""
+def source_of(device: Device) -> Any:
+    """The gauges of a fingertip, of the class that its flags ask for."""
     assert isinstance(device.application, Fingertip)
     return device.application.source
 

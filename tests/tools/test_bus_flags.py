@@ -8,7 +8,7 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -18,7 +18,6 @@ from typing import Any
 import can
 import can.cli
 import pytest
-from bench.measure import background
 from can.interfaces import BACKENDS
 
 from host.bus_with_nodes import beam_calibration, connected, finger, new_channel, running
@@ -31,7 +30,7 @@ from tipforce.watching.findings import Observed, findings
 from tipforce_tools.cli import bus_flags
 from tipforce_tools.doctor import machine
 from tipforce_tools.doctor.machine import configuration_check, interface_check
-from tools.rig import Printed, Tipforce
+from tools.rig import Printed, exit_code, message, sending
 
 
 def parsers() -> tuple[argparse.ArgumentParser, argparse.ArgumentParser]:
@@ -121,6 +120,10 @@ def can_link(changes: Mapping[str, object] = UP, **info: Any) -> Link:
     return link_of({**UP, "linkinfo": {"info_kind": "can", "info_data": data}, **changes})
 
 
+PASSIVE = can_link(state="ERROR-PASSIVE", berr_counter={"tx": 128, "rx": 0})
+FASTER = "set can0 up type can bitrate 1000000"
+
+
 @pytest.fixture(autouse=True)
 def _no_other_bus(monkeypatch: pytest.MonkeyPatch) -> None:
     """test_vcan_boot.py and test_udp_multicast.py have the real ones."""
@@ -153,7 +156,7 @@ def test_a_bus_that_does_not_open(printed: Printed) -> None:
         (can_link(), "ok", "up, 500000 bit/s", ""),
         (can_link({"flags": ["NOARP"]}), "fail", "down, 500000", "ip link set can0 up type can bitrate 500000"),
         (can_link(state="BUS-OFF"), "fail", "bus-off", "type can restart"),
-        (can_link(state="ERROR-PASSIVE", berr_counter={"tx": 128, "rx": 0}), "fail", "sent 128", "bitrate 1000000"),
+        (PASSIVE, "fail", "sent 128", FASTER),
         (can_link({"txqlen": 10}), "note", "queue of 10", "txqueuelen 1000"),
         (can_link({"linkinfo": {"info_kind": "vcan"}, "txqlen": 10}), "ok", "up, virtual", ""),
     ],
@@ -255,31 +258,22 @@ def situation(request: pytest.FixtureRequest) -> Iterator[tuple[str, str]]:
                 connection.finger(5).apply_calibration(beam_calibration(), store=False)
             if name in ("no SYNC", "not calibrated"):
                 connection.nmt("start", 5)
-            if name in ("not calibrated", "two nodes"):
-
-                def send(stop: Callable[[float], bool]) -> None:
-                    """SYNCs; or requests of the serial number, to which two nodes respond."""
-                    while not stop(0.02):
-                        if name == "not calibrated":
-                            connection.sync()
-                        else:
-                            connection.send(0x605, b"\x40\x18\x10\x04\0\0\0\0")
-
-                opened.enter_context(background(lambda stop: send(stop.wait)))
+            if name in ("not calibrated", "two nodes"):  # SYNCs; requests of the serial number
+                frame = message(0x080) if name == "not calibrated" else message(0x605, b"\x40\x18\x10\x04\0\0\0\0")
+                opened.enter_context(sending(channel, lambda _number: [frame], 0.02))
         yield name, channel
 
 
 @pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_first_command_names_cause_and_remedy(
-    command: str, situation: tuple[str, str], tmp_path: Path, tipforce: Tipforce
+    command: str, situation: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name, channel = situation
-    code, out, err = tipforce(f"{command.replace('FOLDER', str(tmp_path))} -i virtual -c {channel}")
-    said = re.findall(f"^.*(?:{SITUATIONS[name]}).*$", (err + out).replace(" -> ", ": "), re.MULTILINE)
-    assert len(said) == 1, err + out
-    if command.startswith("doctor"):
-        assert code == (name in ("two nodes", "not calibrated"))
+    code = exit_code(f"{command.replace('FOLDER', str(tmp_path))} -i virtual -c {channel}")
+    assert not command.startswith("doctor") or code == (name in ("two nodes", "not calibrated"))
+    text = "".join(reversed(capsys.readouterr())).replace(" -> ", ": ")
+    assert len(re.findall(f"^.*(?:{SITUATIONS[name]}).*$", text, re.MULTILINE)) == 1, text
 
 
 @pytest.mark.usefixtures("impatient")
@@ -288,33 +282,29 @@ def test_what_a_filter_leaves_out_is_not_missing(printed: Printed) -> None:
 
 
 @pytest.mark.usefixtures("impatient")
-@pytest.mark.parametrize(("command", "code"), [("hand check FILE", 0), ("doctor FILE --listen 0.3", 1)])
-def test_a_finger_that_does_not_respond(command: str, code: int, tmp_path: Path, printed: Printed) -> None:
-    path, channel = tmp_path / "hand.toml", new_channel()
-    path.write_text('[[finger]]\nnode_id = 5\n[[finger]]\nnode_id = 6\nname = "index"\n')
-    with running([finger(5)], channel):
-        text = "".join(printed(code, f"{command.replace('FILE', str(path))} -i virtual -c {channel}"))
-    assert "no identity on the bus: index (6)" in text
-    assert "`tipforce lss scan`" in text
-
-
-@pytest.mark.usefixtures("impatient")
-@pytest.mark.parametrize("command", ["hand check FILE", "doctor FILE --listen 0.3"])
-def test_swapped_serial_numbers(command: str, tmp_path: Path, tipforce: Tipforce) -> None:
+@pytest.mark.parametrize("command", ["hand check", "doctor --listen 0.3"])
+def test_a_finger_that_does_not_respond_and_swapped_serial_numbers(
+    command: str, tmp_path: Path, printed: Printed, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The remedy that is named helps."""
     path, channel = tmp_path / "hand.toml", new_channel()
-    fingers = ((5, 1006, "thumb"), (6, 1005, "index"))
-    tables = (f'[[finger]]\nnode_id = {k}\nserial = {serial}\nname = "{name}"\n' for k, serial, name in fingers)
-    path.write_text("[hand]\n" + "".join(tables))
     bus = f"-i virtual -c {channel}"
-    words = f"{command.replace('FILE', str(path))} {bus}"
-    with running([finger(5), finger(6)], channel):
-        _, out, err = tipforce(words, code=1)
-        assert "swapped serial numbers: thumb (5) has 1005, index (6) has 1006" in out + err
-        for remedy in re.findall(r"`tipforce ([ln][^`]+)`", out + err):
-            tipforce(f"{remedy} {bus}", code=0)
-        time.sleep(0.2)
-        assert "swapped" not in str(tipforce(words))
+    words = f"{command} {path} {bus}"
+    tables = '[[finger]]\nnode_id = 5\nserial = 1006\nname = "thumb"\n[[finger]]\nnode_id = 6\nname = "index"\n'
+    path.write_text(tables.replace("serial = 1006\n", ""))
+    with running([finger(5)], channel):
+        text = "".join(printed(command.startswith("doctor"), words))
+        assert "no identity on the bus: index (6)" in text
+        assert "`tipforce lss scan`" in text
+        path.write_text(f"{tables}serial = 1005\n")
+        with running([finger(6)], channel):
+            text = "".join(printed(1, words))
+            assert "swapped serial numbers: thumb (5) has 1005, index (6) has 1006" in text
+            for remedy in re.findall(r"`tipforce ([ln][^`]+)`", text):
+                printed(0, f"{remedy} {bus}")
+            time.sleep(0.2)
+            exit_code(words)
+            assert "swapped" not in str(capsys.readouterr())
 
 
 @pytest.mark.parametrize(
@@ -324,13 +314,9 @@ def test_swapped_serial_numbers(command: str, tmp_path: Path, tipforce: Tipforce
         (
             Observed(errors=7, link=can_link()),
             "(500000 bit/s here), or no node acknowledges: 7 error frames, and",
-            "set can0 up type can bitrate 1000000",
+            FASTER,
         ),
-        (
-            Observed(heard_s=3.0, link=can_link(state="ERROR-PASSIVE", berr_counter={"tx": 128, "rx": 0})),
-            "error-passive, errors sent 128, received 0, and no other frame",
-            "set can0 up type can bitrate 1000000",
-        ),
+        (Observed(heard_s=3.0, link=PASSIVE), "error-passive, errors sent 128, received 0, and no other frame", FASTER),
         (Observed(heard_s=3.0, link=can_link(state="BUS-OFF")), "can0 is bus-off", "type can restart"),
         (Observed(errors=7, frames=9), "7 error frames beside 9 frames", "dump -e can0,#FFFFFFFF"),
         (Observed(emergencies={7: (0x8240, 0x11)}), "node 7 (0x07): the SYNC does not fit 1019h", "sdo write 7 0x1019"),

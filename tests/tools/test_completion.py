@@ -7,16 +7,32 @@ import select
 import shutil
 import subprocess
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from bench.documents import PATH, page
 
-from tipforce_tools.cli.completion import SHELLS, script
+from tipforce_tools.cli.completion import SHELLS, root_parser, script
 from tipforce_tools.cli.main import COMMANDS, EXIT_CODES, EXIT_TEXTS, all_parsers
-from tools.command_lines import LINES, PARSERS
 from tools.rig import Printed
 
+
+def lines(parser: argparse.ArgumentParser, path: str = "tipforce") -> Iterator[tuple[str, argparse.ArgumentParser]]:
+    """Each command line with its parser, before those of its commands or actions."""
+    yield path, parser
+    for name, below in choices(parser).items():
+        yield from lines(below, f"{path} {name}")
+
+
+def choices(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    """The commands or actions of a parser; none where flags and values follow."""
+    return next((dict(a.choices) for a in parser._actions if isinstance(a, argparse._SubParsersAction)), {})
+
+
+ALL = dict(lines(root_parser("bash", all_parsers())))
+LINES = {path: list(choices(parser)) for path, parser in ALL.items()}
+PARSERS = {path: parser for path, parser in ALL.items() if not choices(parser)}
 SCRIPTS = {shell: script(shell, all_parsers()) for shell in SHELLS}
 WAIT_S = 60.0
 DRIVER = """

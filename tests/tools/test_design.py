@@ -1,9 +1,7 @@
 """`tipforce design table|sweep|optimise`: numbers, figures, files, and what they say to wrong words."""
 
 import contextlib
-import importlib.util
 import io
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,12 +14,8 @@ from tipforce.sensor.structure.strain import gauge_matrix
 from tipforce.sources.layout_file import read_layout
 from tipforce_lab.design.merit import merit
 from tipforce_lab.design.other_bodies import condition_range
-from tipforce_tools.cli.main import main
-from tools.rig import Printed
+from tools.rig import Printed, Streams, exit_code
 
-NEEDS_MATPLOTLIB = pytest.mark.skipif(
-    importlib.util.find_spec("matplotlib") is None, reason="figures need the extra `plot`"
-)
 QUICK = "--starts 2"
 Optimised = Callable[[str], list[dict[str, Any]]]
 
@@ -34,8 +28,8 @@ def rows(found: list[dict[str, Any]], table: str) -> list[dict[str, Any]]:
 def everything() -> list[dict[str, Any]]:
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
-        assert main(["design", "table", "all", "--repeats", "50", "--json"]) == 0
-    return [json.loads(line) for line in out.getvalue().splitlines()]
+        assert exit_code("design table all --repeats 50 --json") == 0
+    return Streams(out.getvalue(), "").records
 
 
 def test_every_table_is_there_with_its_explanation(everything: list[dict[str, Any]]) -> None:
@@ -49,37 +43,36 @@ def test_every_table_is_there_with_its_explanation(everything: list[dict[str, An
 
 def test_table_3_to_the_printed_digits(everything: list[dict[str, Any]]) -> None:
     cases = rows(everything, "3")
-    assert [row["case"] for row in cases] == ["I", "II", "III"]
-    assert [f"{row['actual']:.3f}" for row in cases] == ["2.510", "2.610", "2.711"]
-    assert [f"{row['thin']:.3f}" for row in cases] == ["2.555", "2.626", "2.693"]
+    shown = [
+        (row["case"], f"{row['actual']:.3f}", f"{row['thin']:.3f}", f"{row['printed_matrix']:.2f}") for row in cases
+    ]
+    assert shown == [
+        ("I", "2.510", "2.555", "3.52"),
+        ("II", "2.610", "2.626", "3.53"),
+        ("III", "2.711", "2.693", "3.34"),
+    ]
     # The paper cuts after two decimals: rounding would give 2.63 for case II.
-    assert (
-        [int(100 * row["thin"]) / 100 for row in cases] == [row["paper_theory"] for row in cases] == [2.55, 2.62, 2.69]
-    )
-    assert [f"{row['printed_matrix']:.2f}" for row in cases] == ["3.52", "3.53", "3.34"]
-    assert [row["can_be_printed_value"] for row in cases] == [False, False, True]
-    assert [row["paper_simulation"] for row in cases] == [2.53, 3.36, 3.94]
+    assert [int(100 * row["thin"]) / 100 for row in cases] == [row["paper_theory"] for row in cases]
+    assert [(row["paper_theory"], row["paper_simulation"], row["can_be_printed_value"]) for row in cases] == [
+        (2.55, 2.53, False), (2.62, 3.36, False), (2.69, 3.94, True),
+    ]  # fmt: skip
     assert [f"{row['simulation_over_theory'] - 1:.0%}" for row in cases[1:]] == ["28%", "46%"]
     by_unit = cases[0]["by_unit"]
     assert [f"{by_unit['M/r']:.1f}", f"{by_unit['N mm']:.0f}", f"{by_unit['N m']:.0f}"] == ["2.5", "8", "158"]
 
-
-def test_simulation_column_is_explained_by_one_shift(everything: list[dict[str, Any]]) -> None:
-    _, second, third = rows(everything, "3")
-    assert second["simulation_shift_of"] == ["L"]
-    assert third["simulation_shift_of"] == ["L", "R"]
-    both = [row["simulation_shift_mm_others_half_mm"] for row in (second, third)]
-    assert both == pytest.approx([1.96, 2.01], abs=0.01)
+    assert [row["simulation_shift_of"] for row in cases[1:]] == [["L"], ["L", "R"]]  # one shift explains them
+    shifts = [row["simulation_shift_mm_others_half_mm"] for row in cases[1:]]
+    assert shifts == pytest.approx([1.96, 2.01], abs=0.01)
 
 
-def test_figure_6_claim(everything: list[dict[str, Any]]) -> None:
-    slopes: dict[str, dict[str, float]] = {}
-    for row in rows(everything, "fig6"):
-        slopes.setdefault(row["case"], {})[row["moved"]] = abs(row["slope_per_mm"])
-        assert row["condition"][0] == pytest.approx({"I": 2.510, "II": 2.610, "III": 2.711}[row["case"]], abs=5e-4)
-    for case, most in (("I", {"SG3"}), ("II", {"SG1"}), ("III", {"SG1", "SG2"})):
-        gauges = {name: slope for name, slope in slopes[case].items() if name != "all"}
-        assert max(gauges, key=lambda name: gauges[name]) in most
+@pytest.mark.parametrize(
+    ("case", "condition", "most"), [("I", 2.510, ["SG3"]), ("II", 2.610, ["SG1"]), ("III", 2.711, ["SG1", "SG2"])]
+)
+def test_figure_6_claim(case: str, condition: float, most: list[str], everything: list[dict[str, Any]]) -> None:
+    found = [row for row in rows(everything, "fig6") if row["case"] == case]
+    assert [row["condition"][0] for row in found] == pytest.approx([condition] * 4, abs=5e-4)
+    slopes = {row["moved"]: abs(row["slope_per_mm"]) for row in found if row["moved"] != "all"}
+    assert max(slopes, key=lambda name: slopes[name]) in most
 
 
 def test_comparators_on_one_scale(everything: list[dict[str, Any]]) -> None:
@@ -151,7 +144,6 @@ def test_sweep_of_a_shift_is_figure_6(printed: Printed, everything: list[dict[st
             assert swept[shift] == pytest.approx(condition)
 
 
-@NEEDS_MATPLOTLIB
 def test_figures_are_reproducible_and_small(printed: Printed, tmp_path: Path) -> None:
     for what, name in (("all", "one"), ("3", "two"), ("scaling", "two")):  # which has no figure
         printed(0, f"design table {what} --repeats 5 -q -o {tmp_path / name}")
@@ -166,7 +158,6 @@ def test_figures_are_reproducible_and_small(printed: Printed, tmp_path: Path) ->
     assert again.read_bytes() == (tmp_path / "one" / again.name).read_bytes()
 
 
-@NEEDS_MATPLOTLIB
 def test_sweep_figure(printed: Printed, tmp_path: Path) -> None:
     path = tmp_path / "r.png"
     assert f"wrote {path}" in printed(0, f"design sweep r --steps 5 -o {path}").err

@@ -10,18 +10,18 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import can
 import pytest
 
+from host.bus_with_nodes import new_channel
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.live import receive
 from tipforce.host.live.receiver import Selection
 from tipforce_tools.cli.listening import open_targets
-from tools.rig import Ended, Printed, Tipforce, message, sending
+from tools.rig import TIPFORCE, Printed, Streams, message, process, sending
 
 GOOD = """\
 (1700000000.000000) vcan0 285#2E1129239A110303
@@ -32,7 +32,7 @@ GOOD = """\
 (1700000001.000000) vcan0 20000004#0004000000000000
 (1700000001.000001) vcan0 12345678#AB
 """
-DUMP = [sys.executable, "-m", "tipforce_tools.cli.main", "dump"]
+DUMP = [*TIPFORCE, "dump"]
 FD = """\
 (1700000000.000000) vcan0 285##52E1129239A110303
 (1700000000.000100) vcan0 285#2E1129239A110303
@@ -40,6 +40,10 @@ FD = """\
 (1700000000.000300) vcan0 123##1
 """
 CONTACT = bytes.fromhex("2E1129239A110303")
+DECODED = (
+    "285   [8]  2E 11 29 23 9A 11 03 03  node 5 (0x05) Contact  "
+    "P=4.398 N phi=90.01 deg theta=45.06 deg contact calibrated #3\n"
+)
 
 
 @pytest.fixture
@@ -49,16 +53,19 @@ def log(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.fixture
-def piped(tipforce: Tipforce, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Tipforce:
-    """`tipforce dump` of a text on stdin, in this process; pipes proper are at the end of this file."""
+Piped = Callable[..., Streams]
 
-    def run(text: object, *words: object) -> Ended:
+
+@pytest.fixture
+def piped(printed: Printed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Piped:
+    """`tipforce dump WORDS -` of a text on stdin, in this process; pipes proper are at the end of this file."""
+
+    def run(text: str, words: str, code: int = 0) -> Streams:
         path = tmp_path / "stdin"
-        path.write_text(str(text))
+        path.write_text(text)
         with path.open() as stdin:
             monkeypatch.setattr(sys, "stdin", stdin)
-            return tipforce("dump", *words)
+            return printed(code, f"dump {words} -")
 
     return run
 
@@ -78,8 +85,7 @@ SHOWN = {
         "  vcan0  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME\n\tcontroller-problem{rx-error-warning}\n"
     ),
     "--decode -n 4": (
-        "  vcan0  285   [8]  2E 11 29 23 9A 11 03 03  node 5 (0x05) Contact  "
-        "P=4.398 N phi=90.01 deg theta=45.06 deg contact calibrated #3\n"
+        f"  vcan0  {DECODED}"
         "  vcan0  285   [8]  00 80 00 80 00 80 02 04  node 5 (0x05) Contact  "
         "P=unknown phi=unknown theta=unknown calibrated #4\n"
         "  vcan1  185   [8]  0A 00 14 00 1E 00 02 06  node 5 (0x05) Gauges  "
@@ -118,12 +124,11 @@ def test_json(log: Path, printed: Printed) -> None:
     assert found[6]["id"] == "12345678"
 
 
-def test_no_time_and_health_and_more_gauges(piped: Tipforce) -> None:
-    done = piped("  vcan0  285   [8]  2E 11 29 23 9A 11 03 03\n", "--json", "-")
+def test_no_time_and_health_and_more_gauges(piped: Piped) -> None:
+    done = piped("  vcan0  285   [8]  2E 11 29 23 9A 11 03 03\n", "--json")
     assert done.records == [{"t": None, "interface": "vcan0", "id": "285", "data": "2E1129239A110303"}]
     health = "(1700000000.000000) vcan0 485#FFFFFFFF01080701\n"
-    done = piped(health, "--decode", "--gauges", "8", "-L", "-")
-    assert done.out == health[:-1] + (
+    assert piped(health, "--decode --gauges 8 -L").out == health[:-1] + (
         "  node 5 (0x05) Health  temperature=-0.01 degC u_P=unknown configuration_counter=7 error_register=1 "
         "SG1_fault fault_supply\n"
     )
@@ -141,57 +146,52 @@ def test_filters(targets: str, shown: int, log: Path, printed: Printed) -> None:
     assert len(printed(0, ["dump", *targets.split(), str(log)]).out.splitlines()) == shown
 
 
-def test_can_fd_frames_are_shown_counted_and_filtered_but_not_decoded(piped: Tipforce) -> None:
+def test_can_fd_frames_are_shown_counted_and_filtered_but_not_decoded(piped: Piped) -> None:
     lines = FD.splitlines(keepends=True)
-    assert piped(FD, "-L", "-").out == FD
-    assert piped(FD, "-L", "-n", "3", "-").out == "".join(lines[:3])
-    assert piped(FD, "-L", "vcan0,285:7FF", "-").out == "".join(lines[:2])
-    assert piped(FD, "-x", "--decode", "-").out == (
+    for words, shown in (("", 4), ("-n 3", 3), ("vcan0,285:7FF", 2)):
+        assert piped(FD, f"-L {words}").out == "".join(lines[:shown])
+    assert piped(FD, "-x --decode").out == (
         "  vcan0  RX B -  285  [08]  2E 11 29 23 9A 11 03 03\n"
-        "  vcan0  RX - -  285   [8]  2E 11 29 23 9A 11 03 03  node 5 (0x05) Contact  "
-        "P=4.398 N phi=90.01 deg theta=45.06 deg contact calibrated #3\n"
+        f"  vcan0  RX - -  {DECODED}"
         "  vcan1  RX - -  12345678  [12]  00 01 02 03 04 05 06 07 08 09 0A 0B\n"
         "  vcan0  RX B -       123  [00] \n"
     )
-    screen = piped(FD, "-ta", "-x", "-").out
-    assert piped(screen, "-ta", "-x", "-").out == screen
-    found = piped(FD, "--json", "--decode", "-").records
+    screen = piped(FD, "-ta -x").out
+    assert piped(screen, "-ta -x").out == screen
+    found = piped(FD, "--json --decode").records
     assert [record.get("fd", False) for record in found] == [True, False, True, True]
     assert found[0]["bit_rate_switch"]
     assert "values" in found[1]
 
 
-def test_what_was_left_out_is_told_at_the_end(piped: Tipforce) -> None:
+def test_what_was_left_out_is_told_at_the_end(piped: Piped) -> None:
     text = GOOD + "rubbish\nmore\n(1700000000.000000) vcan0 123##50001\n(1700000000.0) vcan0 123#00\n"
-    done = piped(text + "(1700000002.000000) vcan0 285#00\n", "--decode", "-")
-    assert (done.code, len(done.out.splitlines())) == (0, 9)
-    assert "  vcan0       123  [02]  00 01\n" in done.out
-    lines = done.err.splitlines()
+    out, err = piped(text + "(1700000002.000000) vcan0 285#00\n", "--decode")
+    assert len(out.splitlines()) == 9
+    assert "  vcan0       123  [02]  00 01\n" in out
+    lines = err.splitlines()
     assert lines[0].startswith(
         "tipforce dump: 3 bad lines left out (2 not a candump line, 1 timestamp), first line 8: 'rubbish': "
     )
     assert lines[1:] == ["tipforce dump: node 5 (0x05) Contact: 1 frame shorter than the mapping, not decoded"]
-    assert piped(text, "-q", "-").err == ""
+    assert piped(text, "-q").err == ""
 
 
-def test_verbose_counts_messages_and_lost_samples_by_the_numbers_of_the_syncs(piped: Tipforce) -> None:
+def test_verbose_counts_messages_and_lost_samples_by_the_numbers_of_the_syncs(piped: Piped) -> None:
     text = "".join(f"(1700000000.{k:06d}) vcan0 285#00000000000002{k:02X}\n" for k in (0, 1, 1, 5))
-    lines = piped(text, "-v", "-").err.splitlines()
-    assert lines[-1] == "tipforce dump: node 5 (0x05) Contact: 4 frames, 3 samples lost"
+    assert piped(text, "-v").err.splitlines()[-1].endswith("node 5 (0x05) Contact: 4 frames, 3 samples lost")
     sent = [("080", "")] + [("080", f"{k:02X}") for k in (239, 240, 1, 2, 4)]
     frames = [(f"{can_id}#{data}", f"285#00000000000002{data or 'F0'}") for can_id, data in sent]
     text = "".join(f"(1700000000.{k:06d}) vcan0 {one}\n" for k, one in enumerate(sum(frames, ())))
-    lines = piped(text, "-v", "-").err.splitlines()
-    assert lines[-1] == "tipforce dump: node 5 (0x05) Contact: 6 frames, 1 sample lost"
+    assert piped(text, "-v").err.splitlines()[-1].endswith("node 5 (0x05) Contact: 6 frames, 1 sample lost")
 
 
-def test_strict_stops_at_the_first_bad_line(piped: Tipforce) -> None:
+def test_strict_stops_at_the_first_bad_line(piped: Piped) -> None:
     good = GOOD.splitlines(keepends=True)
-    done = piped(good[0] + "rubbish\n" + good[1], "--strict", "-L", "-")
-    assert (done.code, done.out) == (1, good[0])
-    assert done.err.startswith("tipforce dump: line 2: 'rubbish': not a candump line: expected ")
-    assert piped(GOOD, "--strict", "-").code == 0
-    assert piped(GOOD.rstrip("\n"), "-L", "-").out == GOOD, "the last line may lack its end"
+    out, err = piped(good[0] + "rubbish\n" + good[1], "--strict -L", code=1)
+    assert out == good[0]
+    assert err.startswith("tipforce dump: line 2: 'rubbish': not a candump line: expected ")
+    assert piped(GOOD.rstrip("\n"), "--strict -L").out == GOOD, "the last line may lack its end"
 
 
 def test_a_live_pipe_is_shown_at_once() -> None:
@@ -216,39 +216,31 @@ def test_silence_ends_it() -> None:
         assert time.monotonic() - start >= 0.2
 
 
-def repeated(channel: str, *messages: can.Message) -> AbstractContextManager[None]:
-    return sending(channel, lambda _number: messages)
-
-
-def test_a_bus_of_python_can(printed: Printed) -> None:
-    with repeated("dump1", message(0x285, CONTACT)):
-        out = printed(0, "dump -i virtual -c dump1 -n 3 --decode").out
-    assert out.splitlines() == 3 * [
-        "  dump1  285   [8]  2E 11 29 23 9A 11 03 03  node 5 (0x05) Contact  "
-        "P=4.398 N phi=90.01 deg theta=45.06 deg contact calibrated #3"
-    ]
-
-
-def test_filters_remote_and_fd(printed: Printed) -> None:
+@pytest.mark.parametrize(
+    ("words", "shown"),
+    [
+        ("-n 3 --decode BUS,285:7FF", {f"  BUS  {DECODED}"}),
+        ("-n 2 BUS,285~7FF", {"  BUS  181   [4]  remote request\n", "  BUS  123  [12] " + 12 * " 00" + "\n"}),
+        ("-n 1 BUS,0~0,#4", {"  BUS  20000004   [8]  00 00 00 00 00 00 00 00   ERRORFRAME\n"}),
+    ],
+)
+def test_a_bus_of_python_can(words: str, shown: set[str], printed: Printed) -> None:
     sent = [
         message(0x285, CONTACT),
         can.Message(arbitration_id=0x181, is_remote_frame=True, dlc=4, is_extended_id=False),
         message(0x123, bytes(12), is_fd=True),
         message(0x4, bytes(8), is_error_frame=True),
     ]
-    with repeated("dump2", *sent):
-        found = printed(0, "dump -i virtual -n 2 --json dump2,285~7FF").records
-    shown = {(record["id"], record.get("length"), record.get("fd"), record.get("error")) for record in found}
-    assert shown == {("181", 4, None, None), ("123", None, True, None)}
-    with repeated("dump2", *sent):
-        out = printed(0, "dump -i virtual -n 1 dump2,0~0,#4").out
-    assert out == "  dump2  20000004   [8]  00 00 00 00 00 00 00 00   ERRORFRAME\n"
+    channel = new_channel()
+    with sending(channel, lambda _number: sent):
+        out = printed(0, f"dump -i virtual {words.replace('BUS', channel)}").out
+    lines = out.replace(channel, "BUS").splitlines(keepends=True)
+    assert (len(lines), set(lines)) == (int(words[3]), shown)
 
 
 def test_a_bus_that_is_not_there() -> None:
     """In a process of its own: where the kernel has CAN, python-can leaves the socket that it could not bind."""
-    words = [sys.executable, "-m", "tipforce_tools.cli.main", "dump", "nocan7"]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    done = process("dump nocan7")
     assert done.returncode in {2, 9}
     assert re.match(r"tipforce: interface socketcan, channel nocan7: .*ip -br link", done.stderr)
     assert "Traceback" not in done.stderr

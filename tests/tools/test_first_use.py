@@ -6,11 +6,11 @@ import re
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from rich.console import Console
 from rich.table import Table
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.scene import beam_calibration
@@ -31,20 +31,10 @@ from tools.rig import Printed
 SCENE = """\
 duration_s = 0.2
 sync_hz = 100
-
-[[nodes]]
-ids = [5, 6]
-pdos = ["gauges", "contact"]
-layout = "II"
-
-[[loads]]
-kind = "static"
-P_N = 2.0
-phi_deg = -90
-theta_deg = 80
+nodes = [{ ids = [5, 6], pdos = ["gauges", "contact"], layout = "II" }]
+loads = [{ kind = "static", P_N = 2.0, phi_deg = -90, theta_deg = 80 }]
+expect = [{ from_s = 0.1, to_s = 0.2, P_error_N = 0.1 }]
 """
-EXPECTS = SCENE + "\n[[expect]]\nfrom_s = 0.1\nto_s = 0.2\nP_error_N = 0.1\n"
-FloatArray = npt.NDArray[np.float64]
 
 LOADS = len(CASES) * 2 * len(GROOVES_DEG)
 
@@ -52,26 +42,15 @@ LOADS = len(CASES) * 2 * len(GROOVES_DEG)
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
     path = tmp_path / "scene.toml"
-    path.write_text(EXPECTS)
+    path.write_text(SCENE)
     return path
 
 
-@pytest.fixture
-def log(scene: Path, tmp_path: Path) -> Path:
-    path = tmp_path / "run.log"
-    assert main(["run", str(scene), "-q", "--json", "-o", str(path)]) == 0
-    return path
-
-
-def test_no_row_says_why(log: Path, printed: Printed) -> None:
-    out, err = printed(0, f"decode {log} --nodes 77")
+def test_no_row_says_why_and_filters_behind_a_log_hold_for_it(hand_log: Path, printed: Printed) -> None:
+    out, err = printed(0, f"decode {hand_log} --nodes 77")
     assert not out
-    assert err.startswith("no sample of a fingertip in ")
-    assert err.endswith(" frames; --nodes may exclude it\n")
-
-
-def test_filters_behind_a_log_hold_for_it(log: Path, printed: Printed) -> None:
-    lines = printed(0, f"dump {log},285:7FF -n 3").out.splitlines()
+    assert re.fullmatch(r"no sample of a fingertip in \d+ frames; --nodes may exclude it\n", err)
+    lines = printed(0, f"dump {hand_log},285:7FF -n 3").out.splitlines()
     assert [line.split()[1] for line in lines] == ["285"] * 3
 
 
@@ -104,19 +83,20 @@ def test_a_scene_is_viewed_as_the_log_that_it_writes(scene: Path, tmp_path: Path
     assert source.model.counters.rows == 20
     assert list(tmp_path.glob("*.log")) == []
     silent = tmp_path / "silent.toml"
-    silent.write_text(SCENE.replace('"gauges", "contact"', ""))
+    silent.write_text(SCENE.replace('"gauges", "contact"', "").replace("expect", "#"))
     with pytest.raises(InputError, match=r"silent\.toml: no PDO of a fingertip"):
         scene_source(silent, Finger)
 
 
-def test_gauges_of_a_decoded_log_are_measurements(log: Path, tmp_path: Path, printed: Printed) -> None:
-    calibration, gauges, both = (str(tmp_path / name) for name in ("cal.toml", "gauges.csv", "both.csv"))
+def test_gauges_of_a_decoded_log_are_measurements(scene: Path, tmp_path: Path, printed: Printed) -> None:
+    log, calibration, gauges, both = (tmp_path / name for name in ("run.log", "cal.toml", "gauges.csv", "both.csv"))
     write_calibration(calibration, beam_calibration("II"))
-    assert main(["decode", str(log), "--nodes", "5", "--signals", "SG1,SG2,SG3", "-q", "-o", gauges]) == 0
+    printed(0, f"run {scene} -q --json -o {log}")
+    printed(0, f"decode {log} --nodes 5 --signals SG1,SG2,SG3 -q -o {gauges}")
     rows = printed(0, f"estimate {calibration} {gauges} --json -q").records
     assert len(rows) == 20
     assert all(abs(row["P_N"] - 2.0) < 0.01 and row["status"] == "ok" for row in rows)
-    assert main(["decode", str(log), "--nodes", "5", "-q", "-o", both]) == 0
+    printed(0, f"decode {log} --nodes 5 -q -o {both}")
     assert "SG1_ue beside P_N: this is a decoded log" in printed(2, f"estimate {calibration} {both}").err
 
 
@@ -284,19 +264,15 @@ def test_a_run_as_json(printed: Printed, tmp_path: Path) -> None:
     assert log.stat().st_size > 0
 
 
-def test_an_expectation_that_fails_is_exit_code_1(printed: Printed, tmp_path: Path) -> None:
-    text = (SCENES / "static.toml").read_text().replace("P_error_N = 0.01", "P_error_N = 1e-6")
-    (tmp_path / "scene.toml").write_text(text)
-    out = printed(1, f"run {tmp_path / 'scene.toml'}").out
-    assert re.search(r"FAILED\W+0 s to 1 s: largest error of P at most 1e-06 N\W+1\W+0\.001 N", out)
-    assert "FAIL: 4 of 5" in out
-
-
-def test_a_bus_that_cannot_carry_it_is_told(printed: Printed, tmp_path: Path) -> None:
-    text = (SCENES / "static.toml").read_text().replace("sync_hz", "bit_rate = 50000\nsync_hz")
-    (tmp_path / "scene.toml").write_text(text)
-    assert "too much for a bus of 50000 bit/s: 316 % load" in printed(0, f"run {tmp_path / 'scene.toml'}").err
-    assert "(it does not fit)" in printed(0, f"run --explain {tmp_path / 'scene.toml'}").out
+def test_an_expectation_that_fails_is_exit_code_1_and_a_bus_that_cannot_carry_it_is_told(
+    scene: Path, printed: Printed
+) -> None:
+    scene.write_text("bit_rate = 20000\n" + SCENE.replace("P_error_N = 0.1", "phi_error_deg = 1e-6"))
+    out, err = printed(1, f"run {scene}")
+    assert re.search(r"FAILED\W+0\.1 s to 0\.2 s: largest error of phi at most 1e-06 deg\W+5,6\W+0\.02 deg", out)
+    assert "FAIL: 0 of 2" in out
+    assert "too much for a bus of 20000 bit/s: 246 % load" in err
+    assert "(it does not fit)" in printed(0, f"run --explain {scene}").out
 
 
 def test_explain_prints_every_part_and_identifier(printed: Printed) -> None:

@@ -24,8 +24,7 @@ from tipforce.sensor import covariance_of_estimate
 from tipforce.sensor.contact.estimate import force_vector, standard_uncertainties
 from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
 from tipforce.sources.simulated import DRIFT, OPEN, SATURATED, SILENT, STUCK, SimulatedSource
-from tipforce_tools.cli.main import main
-from tools.rig import Printed, Streams
+from tools.rig import Printed, Streams, exit_code
 
 OFFSETS = (12.0, -8.5, 5.3)
 FEW = ("--grooves", "x30,x60,x150,y45,y90,y135", "--samples", 20, "--drift", "none")
@@ -54,10 +53,7 @@ class Bench(NamedTuple):
 
     def guide(self, *words: object) -> int:
         line = ["calibrate", "guide", "--node", 5, "--session", self.session, *QUICK, *words]
-        try:
-            return main([*map(str, line), "-i", "virtual", "-c", self.channel])
-        except SystemExit as error:
-            return int(error.code or 0)
+        return exit_code([*line, "-i", "virtual", "-c", self.channel])
 
     def auto(self, *words: object, code: int = 0) -> Streams:
         assert self.guide("--auto", *FEW, *words) == code

@@ -1,6 +1,5 @@
 """Layout files with gauges anywhere, and `tipforce calibrate budget`: read, written, used, refused."""
 
-import importlib.util
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -17,7 +16,6 @@ from tipforce.sensor.structure.layouts import LAYOUTS
 from tipforce.sensor.structure.strain import FABRICATED, Gauge, GaugePosition, Geometry, gauge_matrix, strain_matrix
 from tipforce.sources import layout_file
 from tipforce.sources.layout_file import layout_text, read_layout, write_layout
-from tipforce.sources.simulated import SimulatedSource
 from tools.rig import Printed, run_node, source_of
 
 Budget = Callable[[str], dict[str, dict[str, Any]]]
@@ -87,7 +85,6 @@ def test_the_node_reads_what_the_layout_says(tmp_path: Path, devices: list[Devic
     (device,) = devices
     assert device.od.get(0x1018, 2) == 0x54500104, "a product code for four gauges"
     source = source_of(device)
-    assert isinstance(source, SimulatedSource)
     np.testing.assert_allclose(source.rows, gauge_matrix(ODD, PLACES), rtol=1e-13)
 
 
@@ -154,10 +151,7 @@ def test_the_papers_case_over_the_pad(budget: Budget) -> None:
     assert 0.02 < total["u_P_N"] < total["u_P_N_max"] < 0.1
     assert sum(found[cause]["share_P_percent"] for cause in CAUSES[:-1]) == pytest.approx(100.0, abs=0.1)
     assert found["gauge position"]["u_P_N"] == 0.0
-    degree = budget("--gravity 1")["gravity"]
-    assert degree["u_P_N_max"] / 4.4 == pytest.approx(0.0087, abs=0.0002)
-    assert degree["u_phi_deg_max"] == pytest.approx(1.0, abs=0.01)
-    assert degree["u_theta_deg_max"] == pytest.approx(0.79, abs=0.02)
+    assert budget("--gravity 1")["gravity"]["u_phi_deg_max"] == pytest.approx(1.0, abs=0.01)
 
 
 def test_each_flag_moves_its_row_alone(budget: Budget) -> None:
@@ -217,7 +211,6 @@ def test_text_tells_where_first_order_does_not_hold(printed: Printed) -> None:
     assert captured.out.splitlines()[0].split().count("max") == 3
 
 
-@pytest.mark.skipif(importlib.util.find_spec("matplotlib") is None, reason="figures need the extra `plot`")
 @pytest.mark.parametrize(("name", "head"), [("b.png", b"\x89PNG"), ("b.svg", b"<?xml")])
 def test_plot(printed: Printed, tmp_path: Path, name: str, head: bytes) -> None:
     path = tmp_path / name

@@ -2,7 +2,6 @@
 
 import gzip
 import io
-import json
 import os
 import re
 import signal
@@ -20,11 +19,10 @@ import pytest
 from canopen_device.core.codes import ERROR_FLAG
 from tipforce.host.logs.notes import LogNotes
 from tipforce.host.logs.recorder import Recorder
-from tipforce_tools.cli.main import main
 from tipforce_tools.log import default_name
 from tipforce_tools.replay import timed_frames
 from tools.blocks import MIXED, MIXED_LOG, block_of_text, written
-from tools.rig import Printed, Tipforce, message, sending
+from tools.rig import Printed, message, process, sending
 
 COUNT = 60
 KINDS = [(can_id & ~ERROR_FLAG, kind & 3 if isinstance(kind, int) else kind) for can_id, kind in MIXED]
@@ -39,24 +37,21 @@ def text_of(path: Path) -> str:
     return (gzip.decompress(data) if path.suffix == ".gz" else data).decode()
 
 
-def logged(channel: str, *words: str) -> int:
-    return main(["log", "-i", "virtual", "-c", channel, *words])
-
-
 def test_the_file_is_candumps(tmp_path: Path, printed: Printed) -> None:
     path = tmp_path / "run.log"
     before = time.time()
     with counting("log1"):
-        out, err = printed(0, f"log -i virtual -c log1 -o {path} -n {COUNT} --json")
+        ended = printed(0, f"log -i virtual -c log1 -o {path} -n {COUNT} --json")
     lines = path.read_text().splitlines()
     assert len(lines) == COUNT
     found = [re.fullmatch(r"\((\d{10}\.\d{6})\) log1 285#([0-9A-F]{8})", line) for line in lines]
     assert all(found)
     assert is_counted(numbers_of(path.read_text()))
     assert before - 1 < float(found[0][1] if found[0] else 0) < time.time() + 1
-    assert err.splitlines()[0] == f"tipforce log: recording to {path}"
-    assert re.match(rf"tipforce log: {COUNT} frames in \d+\.\d s to .*run\.log, 0 dropped", err.splitlines()[1])
-    record = json.loads(out)
+    first, second, *_ = ended.err.splitlines()
+    assert first == f"tipforce log: recording to {path}"
+    assert re.match(rf"tipforce log: {COUNT} frames in \d+\.\d s to .*run\.log, 0 dropped", second)
+    (record,) = ended.records
     assert (record["frames"], record["dropped"], record["files"]) == (COUNT, 0, [str(path)])
 
 
@@ -70,10 +65,10 @@ def test_the_default_name_is_candumps(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("name", ["run.asc", "run.blf", "run.csv", "run.trc", "run.db", "run.asc.gz", "run.csv.gz"])
-def test_python_cans_formats(name: str, tmp_path: Path) -> None:
+def test_python_cans_formats(name: str, tmp_path: Path, printed: Printed) -> None:
     path = tmp_path / name
     with counting("log3"):
-        assert logged("log3", "-o", str(path), "-n", str(COUNT), "-q") == 0
+        printed(0, f"log -i virtual -c log3 -o {path} -n {COUNT} -q")
     with can.LogReader(path) as reader:
         numbers = [int.from_bytes(message.data, "little") for message in reader]
     assert (len(numbers), is_counted(numbers)) == (COUNT, True)
@@ -102,9 +97,9 @@ def test_rotation_by_size(tmp_path: Path) -> None:
     assert all(path.stat().st_size < 10_000 + 100 * 40 for path in recorder.paths)
 
 
-def test_rotation_by_time(tmp_path: Path) -> None:
+def test_rotation_by_time(tmp_path: Path, printed: Printed) -> None:
     with counting("log4"):
-        assert logged("log4", *("-o", str(tmp_path / "run.log.gz"), "-n", "300", "--rotate-time", "0.2", "-q")) == 0
+        printed(0, f"log -i virtual -c log4 -o {tmp_path}/run.log.gz -n 300 --rotate-time 0.2 -q")
     paths = sorted(tmp_path.iterdir())
     assert len(paths) >= 2
     assert paths[0].name == "run-0001.log.gz"
@@ -112,14 +107,27 @@ def test_rotation_by_time(tmp_path: Path) -> None:
     assert (len(numbers), is_counted(numbers)) == (300, True)
 
 
-@pytest.mark.parametrize("before", [None, "old"])
-def test_silence_ends_it(before: str | None, tmp_path: Path) -> None:
+def test_silence_ends_it(tmp_path: Path, printed: Printed) -> None:
     path = tmp_path / "run.log"
-    if before is not None:
-        path.write_text(before)
-    overwrite = [] if before is None else ["--overwrite"]
-    assert logged("log5", "-o", str(path), "-T", "100", "-q", *overwrite) == 0
-    assert path.read_text() == ""
+    for overwrite in ("", "--overwrite"):
+        printed(0, f"log -i virtual -c log5 -o {path} -T 100 -q {overwrite}")
+        assert path.read_text() == ""
+        path.write_text("old")
+
+
+def signalled(number: int, code: str, path: Path, *first: str) -> str:
+    """What a program writes to stderr after its first line, which, as that of stdout, is one of ``first``."""
+    words = [sys.executable, "-c", code, str(path)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        assert running.stdout is not None
+        assert running.stderr is not None
+        for stream, line in zip((running.stdout, running.stderr), first, strict=False):
+            assert stream.readline() == line
+        os.kill(running.pid, number)
+        said = running.stderr.read()
+        assert running.wait(30) == 130
+    assert "Traceback" not in said
+    return said
 
 
 CHILD = """
@@ -145,21 +153,11 @@ sys.exit(main(["log", "-i", "virtual", "-c", "x", "-o", sys.argv[1]]))
 @pytest.mark.parametrize(("number", "name"), [(signal.SIGINT, "run.log"), (signal.SIGTERM, "run.log.gz")])
 def test_a_signal_closes_the_file(number: int, name: str, tmp_path: Path) -> None:
     path = tmp_path / name
-    with subprocess.Popen(
-        [sys.executable, "-c", CHILD, path], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
-        assert process.stderr.readline() == f"tipforce log: recording to {path}\n"
-        assert process.stdout.readline() == "100 frames\n"
-        os.kill(process.pid, number)
-        said = process.stderr.read()
-        assert process.wait(30) == 130
+    said = signalled(number, CHILD, path, "100 frames\n", f"tipforce log: recording to {path}\n")
     numbers = numbers_of(text_of(path))
     assert len(numbers) > 20
     assert is_counted(numbers)
     assert said.startswith(f"tipforce log: {len(numbers)} frames in ")
-    assert "Traceback" not in said
 
 
 @contextmanager
@@ -197,22 +195,18 @@ def log(tmp_path: Path) -> Path:
     return path
 
 
-def replay(*words: str) -> int:
-    return main(["replay", "-i", "virtual", *words])
-
-
 def test_all_frames_to_one_bus(log: Path, printed: Printed) -> None:
     with listening("replay1") as (bus,):
-        out, err = printed(0, f"replay -i virtual -c replay1 {log} --json")
+        ended = printed(0, f"replay -i virtual -c replay1 {log} --json")
         messages = received(bus)
     assert [shown(message) for message in messages] == KINDS
     assert messages[0].data.hex() == "2e1129239a110303"
     assert messages[4].dlc == 8
     assert messages[8].data == bytes(range(12))
-    record = json.loads(out)
+    (record,) = ended.records
     assert (record["sent"], record["left_out"], record["bad_lines"]) == (9, {}, {})
     assert record["seconds"] >= 0.03
-    assert err.startswith("tipforce replay: 9 frames sent in 0.")
+    assert ended.err.startswith("tipforce replay: 9 frames sent in 0.")
 
 
 @pytest.mark.parametrize("name", ["run.log.gz", "run.blf", "run.asc"])
@@ -220,7 +214,7 @@ def test_other_formats(name: str, tmp_path: Path, printed: Printed) -> None:
     path = written(tmp_path / name)
     assert len(printed(0, f"dump {path}").out.splitlines()) == len(KINDS)
     with listening("replay2") as (bus,):
-        assert replay("-c", "replay2", "-q", str(path)) == 0
+        printed(0, f"replay -i virtual -c replay2 -q {path}")
         found = [shown(message) for message in received(bus)]
     # ASC does not hold the class of an error frame.
     assert [one for one in found if one[1] != "error"] == [one for one in KINDS if one[1] != "error"]
@@ -243,13 +237,9 @@ def test_assignments(log: Path, printed: Printed) -> None:
         assert received(other) == []
     assert "6 frames sent" in err
     assert "6 frames left out: of vcan0, which no assignment names" in err
-
-
-def test_without_assignments_frames_go_where_they_came_from(log: Path) -> None:
-    with listening("vcan0", "can1") as (vcan0, can1):
-        assert replay("-q", str(log)) == 0
-        assert len(received(vcan0)) == 6
-        assert len(received(can1)) == 3
+    with listening("vcan0", "can1") as buses:  # without assignments frames go where they came from
+        printed(0, f"replay -i virtual -q {log}")
+        assert [len(received(bus)) for bus in buses] == [6, 3]
 
 
 @pytest.mark.parametrize(
@@ -268,25 +258,23 @@ def test_when_frames_are_due(tmp_path: Path, speed: float, max_gap_s: float | No
     assert [due for due, _, _ in timed_frames(args, LogNotes())] == pytest.approx(due_s)
 
 
-def test_loops_speed_and_gaps(tmp_path: Path) -> None:
+def test_loops_speed_and_gaps(tmp_path: Path, printed: Printed) -> None:
     path = tmp_path / "run.log"
     path.write_text("(1700000000.000000) vcan0 285#00\n(1700009999.000000) vcan0 285#01\n")
     with listening("replay7") as (bus,):
-        assert replay(*("-q", "-c", "replay7", str(path), "--loop", "3", "--max-gap", "0.02", "--speed", "2")) == 0
-        assert [message.data[0] for message in received(bus)] == 3 * [0, 1]
-        assert replay("-q", "-c", "replay7", str(path), "--speed", "inf") == 0
-        assert len(received(bus)) == 2
+        for words, loops in (("--loop 3 --max-gap 0.02 --speed 2", 3), ("--speed inf", 1)):
+            printed(0, f"replay -i virtual -q -c replay7 {path} {words}")
+            assert [message.data[0] for message in received(bus)] == loops * [0, 1]
 
 
 def test_stdin_and_bad_lines() -> None:
     text = MIXED_LOG + "rubbish\n" + MIXED_LOG
-    words = [sys.executable, "-m", "tipforce_tools.cli.main", "replay"]
-    words += ["-i", "virtual", "-c", "x", "--speed", "inf", "-"]
-    done = subprocess.run(words, input=text, capture_output=True, text=True, timeout=60, check=False)
+    words = "replay -i virtual -c x --speed inf -"
+    done = process(words, input=text)
     assert done.returncode == 0
     assert "18 frames sent" in done.stderr
     assert "bad lines left out (1 not a candump line), first line 10: 'rubbish'" in done.stderr
-    done = subprocess.run([*words, "--strict"], input=text, capture_output=True, text=True, timeout=60, check=False)
+    done = process(f"{words} --strict", input=text)
     assert done.returncode == 1
     assert "tipforce replay: line 10: 'rubbish': not a candump line" in done.stderr
     assert "9 frames sent" in done.stderr
@@ -300,21 +288,11 @@ def test_a_signal_ends_an_endless_loop(log: Path) -> None:
         "threading.Thread(target=lambda: print(bus.recv() and 'sent', flush=True), daemon=True).start()\n"
         "sys.exit(main(['replay', '-i', 'virtual', '-c', 'x', sys.argv[1], '--loop', 'inf']))\n"
     )
-    words = [sys.executable, "-c", code, str(log)]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "sent\n"
-        os.kill(process.pid, signal.SIGTERM)
-        _, err = process.communicate(timeout=30)
-    assert process.returncode == 130
-    assert err.startswith("tipforce replay: ")
-    assert "Traceback" not in err
+    assert signalled(signal.SIGTERM, code, log, "sent\n").startswith("tipforce replay: ")
 
 
-def test_a_real_bus_is_asked_for_first(log: Path, monkeypatch: pytest.MonkeyPatch, tipforce: Tipforce) -> None:
+def test_a_real_bus_is_asked_for_first(log: Path, monkeypatch: pytest.MonkeyPatch, printed: Printed) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO())
     asked = f"replay -i socketcan {log} can7=vcan0"
-    assert "this sends the frames of" in tipforce(asked, code=2).err
-    code, _, err = tipforce(f"{asked} --yes")
-    assert code in {2, 9}
-    assert "interface socketcan, channel can7: " in err
+    assert "this sends the frames of" in printed(2, asked).err
+    assert "interface socketcan, channel can7: " in printed({2, 9}, f"{asked} --yes").err

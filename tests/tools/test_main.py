@@ -20,9 +20,9 @@ from tipforce.dictionary.table import SOFTWARE_VERSION
 from tipforce.errors import EnvironmentLackError, InputError, LogError, TipforceError
 from tipforce_tools.cli import bus_flags, common, tables
 from tipforce_tools.cli.main import COMMANDS, EXIT_CODES, command_parser, main
-from tools.command_lines import LINES
 from tools.decode.logs import log_lines, write_log
-from tools.rig import Printed, Tipforce
+from tools.rig import TIPFORCE, Printed, Terminal
+from tools.test_completion import LINES
 
 HEAVY_FOR_ALL = ("numpy", "can", "canopen", "cantools", "msgspec", "rich", "shtab", "websockets")
 HEAVY = (*HEAVY_FOR_ALL, "hypothesis", "cyclonedds", "mcap")
@@ -58,8 +58,8 @@ def test_version_and_no_word(printed: Printed) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(set(COMMANDS) - set(RUN_ALONE)))
-def test_what_is_missing_is_a_usage_error(name: str, tipforce: Tipforce) -> None:
-    [line] = tipforce(f"{name} --no-such-flag" if name == "scan" else name, code=2).err.splitlines()
+def test_what_is_missing_is_a_usage_error(name: str, printed: Printed) -> None:
+    [line] = printed(2, f"{name} --no-such-flag" if name == "scan" else name).err.splitlines()
     assert line.startswith(f"tipforce {name}: error: ")
     assert line.endswith(f"; see `tipforce {name} --help`")
 
@@ -105,12 +105,8 @@ def run_command(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[argparse
 
 def raising(error: BaseException, cause: BaseException | None = None) -> Callable[[argparse.Namespace], int]:
     def body(_args: argparse.Namespace) -> int:
-        if cause is None:
-            raise error
-        try:
-            raise cause
-        except BaseException:
-            raise error from None
+        error.__context__ = cause
+        raise error from None
 
     return body
 
@@ -125,30 +121,25 @@ WRAPPED = OSError("could not open")
 WRAPPED.__cause__ = PermissionError()
 
 
+CAUSES: list[tuple[Exception, int]] = [
+    (PermissionError(13, "Permission denied"), 9), (PermissionError(1, "Operation not permitted"), 9), (WRAPPED, 9),
+    (FileNotFoundError(2, "x"), 2), (ValueError("x"), 2),
+]  # fmt: skip
+
+
 @pytest.mark.parametrize(
-    ("cause", "code"),
+    ("error", "cause", "code"),
     [
-        (PermissionError(13, "Permission denied"), 9), (PermissionError(1, "Operation not permitted"), 9), (WRAPPED, 9),
-        (FileNotFoundError(2, "x"), 2), (ValueError("x"), 2),
+        *((EnvironmentLackError("an operation is not permitted"), *cause) for cause in CAUSES),
+        *((InputError("x"), *cause) for cause in CAUSES),
+        (PermissionError(13, "Permission denied", "x.toml"), None, 9), (TipforceError("x"), None, 1),
     ],
 )  # fmt: skip
-@pytest.mark.parametrize("error", [EnvironmentLackError("an operation is not permitted"), InputError("x")])
-def test_a_lack_of_permission_is_9(run_command: Run, error: TipforceError, cause: BaseException, code: int) -> None:
-    assert run_command(raising(error, cause)) == code
-
-
-@pytest.mark.parametrize(
-    ("error", "code", "text"),
-    [
-        (PermissionError(13, "Permission denied", "x.toml"), 9, "[Errno 13] Permission denied: 'x.toml'"),
-        (TipforceError("x"), 1, "x"),
-    ],
-)
-def test_an_error_is_one_line(
-    run_command: Run, error: Exception, code: int, text: str, capsys: pytest.CaptureFixture[str]
+def test_an_error_is_one_line_and_a_lack_of_permission_is_9(
+    run_command: Run, error: Exception, cause: Exception | None, code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run_command(raising(error)) == code
-    assert capsys.readouterr() == ("", f"tipforce: {text}\n")
+    assert run_command(raising(error, cause)) == code
+    assert capsys.readouterr() == ("", f"tipforce: {error}\n")
 
 
 def test_sigterm_ends_a_command_as_ctrl_c_does(run_command: Run) -> None:
@@ -176,12 +167,12 @@ def test_numbers_with_a_minus_are_values_not_flags(run_command: Run) -> None:
 @pytest.mark.parametrize(
     "name", ["calibrate", "dataset", "design", "firmware", "sdo", "lss", "config", "hand", "nmt", "export"]
 )
-def test_a_missing_action_is_one_line_with_all_of_them(name: str, tipforce: Tipforce) -> None:
+def test_a_missing_action_is_one_line_with_all_of_them(name: str, printed: Printed) -> None:
     choice = command_parser(name).choice
     assert len(choice) >= 1
     for words in (name, f"{name} -q"):
-        code, out, err = tipforce(words)
-        assert (code, out) == (2, "")
+        out, err = printed(2, words)
+        assert out == ""
         [line] = err.splitlines()
         assert line.startswith(f"tipforce {name}: error: which ")
         assert line.endswith(f"? {', '.join(choice)}; see `tipforce {name} --help`")
@@ -189,7 +180,7 @@ def test_a_missing_action_is_one_line_with_all_of_them(name: str, tipforce: Tipf
 
 def run_into(stdout: int, command: str) -> tuple[int, str]:
     """Exit code and stderr of `tipforce COMMAND` with its output going to a file descriptor."""
-    words = [sys.executable, "-m", "tipforce_tools.cli.main", *command.split()]
+    words = [*TIPFORCE, *command.split()]
     done = subprocess.run(words, stdout=stdout, stderr=subprocess.PIPE, text=True, check=False)
     return done.returncode, done.stderr
 
@@ -219,10 +210,8 @@ def test_a_full_disk_is_told_without_a_traceback(command: str) -> None:
 
 def test_closed_streams_are_no_fault(tmp_path: Path) -> None:
     """`tipforce ... >&-`: the output file does not get the descriptor of stdout, and nothing is printed into it."""
-    words = [sys.executable, "-W", "error", "-m", "tipforce_tools.cli.main", "export", "eds", "-o", "out.eds"]
-    done = subprocess.run(
-        ["sh", "-c", '"$@" <&- >&-', "sh", *words], cwd=tmp_path, stderr=subprocess.PIPE, text=True, check=False
-    )
+    words = ["sh", "-c", '"$@" -W error -m tipforce_tools.cli.main export eds -o out.eds <&- >&-', "sh", sys.executable]
+    done = subprocess.run(words, cwd=tmp_path, stderr=subprocess.PIPE, text=True, check=False)
     assert (done.returncode, "Traceback" in done.stderr) == (0, False), done.stderr
     assert (tmp_path / "out.eds").read_text().startswith("[FileInfo]")
 
@@ -274,8 +263,7 @@ def test_what_is_no_set_of_node_ids(text: str, message: str) -> None:
 def test_json_has_no_nan(capsys: pytest.CaptureFixture[str]) -> None:
     values = [1.0, math.nan, (math.inf, -math.inf)]
     common.print_json({"x": math.nan, "list": values, "nested": {"y": math.inf, "z": 1}, "text": "NaN"})
-    line = capsys.readouterr().out
-    assert line.count("\n") == 1
+    (line,) = capsys.readouterr().out.splitlines()
     found = json.loads(line, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
     assert found == {"x": None, "list": [1.0, None, [None, None]], "nested": {"y": None, "z": 1}, "text": "NaN"}
 
@@ -294,40 +282,30 @@ def test_only_what_was_said_goes_to_python_can() -> None:
     assert bus_flags.bus_options(bus_arguments(*words)) == expected
 
 
-class Terminal(io.StringIO):
-    """A stdin with a person at it."""
-
-    def isatty(self) -> bool:
-        return True
+REAL = "-i socketcan -c can0"
+QUESTION = "this persists. Continue? [y/N] "
+NOBODY = "this persists; stdin is not a terminal: add --yes to confirm"
 
 
 @pytest.mark.parametrize(
-    "words",
-    ["--yes -i socketcan -c can0", "-y", "-i virtual -c x", "-i udp_multicast -c 239.0.0.1", "-i socketcan -c vcan0"],
-)
-def test_nobody_is_asked(words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(sys, "stdin", io.StringIO())
-    bus_flags.confirm(bus_arguments(*words.split()), "this persists")
-    assert capsys.readouterr() == ("", "")
-
-
-@pytest.mark.parametrize(
-    ("answer", "done"), [("y\n", True), ("YES\n", True), ("n\n", False), ("\n", False), ("", False)]
-)
+    ("words", "stdin", "question", "refused"),
+    [
+        *((words, io.StringIO(), "", "") for words in (
+            f"--yes {REAL}", "-y", "-i virtual -c x", "-i udp_multicast -c 239.0.0.1", "-i socketcan -c vcan0")),
+        *((REAL, Terminal(answer), QUESTION, "") for answer in ("y\n", "YES\n")),
+        *((REAL, Terminal(answer), QUESTION, "not done") for answer in ("n\n", "\n", "")),
+        *((words, io.StringIO("y\n"), "", NOBODY) for words in (REAL, "")),
+    ],
+)  # fmt: skip
 def test_on_a_real_bus_a_person_is_asked(
-    answer: str, done: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "stdin", Terminal(answer))
-    with nullcontext() if done else pytest.raises(InputError, match="not done"):
-        bus_flags.confirm(bus_arguments("-i", "socketcan", "-c", "can0"), "this persists")
-    assert capsys.readouterr() == ("", "this persists. Continue? [y/N] ")
-
-
-@pytest.mark.parametrize("words", ["-i socketcan -c can0", ""])
-def test_without_a_person_the_answer_is_no(words: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
-    with pytest.raises(InputError, match=r"this persists; stdin is not a terminal: add --yes to confirm"):
+    words: str, stdin: io.StringIO, question: str, refused: str, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """Without a person the answer is no."""
+    monkeypatch.setattr(sys, "stdin", stdin)
+    with pytest.raises(InputError, match=refused) if refused else nullcontext():
         bus_flags.confirm(bus_arguments(*words.split()), "this persists")
+    assert capsys.readouterr() == ("", question)
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,6 @@
 import io
 import math
 import struct
-import subprocess
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -17,8 +15,8 @@ from tipforce.host.logs.reader import open_log
 from tipforce.watching.bus_monitor import BusView, Monitor, NodeView, Window
 from tipforce.watching.frame_sources import LogSource, PipeSource
 from tipforce_tools.monitor import session
-from tools.hand_log import START_S, Fault, contact_pdo, hand_log
-from tools.rig import Clock, Printed, message, sending
+from tools.hand_log import START_S, contact_pdo
+from tools.rig import Clock, Printed, message, process, sending
 
 MS = 1_000_000
 T0 = START_S * 1_000_000_000
@@ -214,17 +212,10 @@ def test_nothing_has_come() -> None:
     assert Window(columns=2).sums(0) == [0.0, 0.0]
 
 
-@pytest.fixture
-def log(tmp_path: Path) -> Path:
-    path = tmp_path / "hand.log"
-    path.write_text(hand_log((5,), 2.0, 100, faults=(Fault(5, "silent", 1.5, 1.6),)))
-    return path
-
-
 @pytest.mark.parametrize("speed", [1.0, 4.0])
-def test_a_log_in_its_own_time(log: Path, speed: float) -> None:
+def test_a_log_in_its_own_time(hand_log: Path, speed: float) -> None:
     clock = Clock()
-    with open_log(log) as reader:
+    with open_log(hand_log) as reader:
         source = LogSource(reader, speed, 250 * MS, clock, clock.sleep)
         count = 0
         while not source.ended:
@@ -235,13 +226,13 @@ def test_a_log_in_its_own_time(log: Path, speed: float) -> None:
             if len(frames):
                 assert int(frames["t_ns"].max()) <= now_ns
                 assert now_ns - T0 <= (clock.now_s - 100.0) * speed * 1e9 + MS
-    assert count == len(log.read_text().splitlines())
+    assert count == len(hand_log.read_text().splitlines())
     assert clock.now_s - 100.0 == pytest.approx(2.0 / speed, abs=0.02)
 
 
-def test_a_log_as_fast_as_it_is_read(log: Path) -> None:
+def test_a_log_as_fast_as_it_is_read(hand_log: Path) -> None:
     clock = Clock()
-    with open_log(log) as reader:
+    with open_log(hand_log) as reader:
         source = LogSource(reader, math.inf, 250 * MS, clock, clock.sleep)
         steps: list[FrameArray] = []
         while not source.ended:
@@ -251,9 +242,9 @@ def test_a_log_as_fast_as_it_is_read(log: Path) -> None:
     assert all(int(step["t_ns"].max() - step["t_ns"].min()) <= 251 * MS for step in steps[:-1])
 
 
-def test_a_pipe_that_goes_quiet_grows_old(log: Path) -> None:
+def test_a_pipe_that_goes_quiet_grows_old(hand_log: Path) -> None:
     clock = Clock()
-    with open_log(log) as reader:
+    with open_log(hand_log) as reader:
         source = PipeSource(reader, clock)
         monitor = Monitor()
         while not source.ended:
@@ -264,27 +255,27 @@ def test_a_pipe_that_goes_quiet_grows_old(log: Path) -> None:
     assert view.nodes[0].age_s == pytest.approx(3.0, abs=0.02)
 
 
-def test_a_table_at_the_end_of_a_log(log: Path, printed: Printed) -> None:
-    out, err = printed(0, f"monitor {log}")
+def test_a_table_at_the_end_of_a_log(hand_log: Path, tmp_path: Path, printed: Printed) -> None:
+    out, err = printed(0, f"monitor {hand_log}")
     lines = out.splitlines()
-    assert lines[0].startswith("vcan0: ")
+    assert lines[0].startswith("sim0: ")
     assert "SYNC 100.0 Hz" in lines[0]
     assert lines[1].split()[:2] == ["node", "Hz"]
     assert lines[2].startswith("5 (0x05)  ")
     assert " operational " in lines[2]
     assert (len(lines), err) == (3, "")
-    assert "no node found yet" in printed(0, f"monitor {log} --nodes 6").out
-    log.write_text(log.read_text() + "nonsense\n")
-    assert "tipforce monitor: 1 bad line left out" in printed(0, f"monitor {log}").err
+    assert "no node found yet" in printed(0, f"monitor {hand_log} --nodes 6").out
+    (tmp_path / "bad.log").write_text(hand_log.read_text() + "nonsense\n")
+    assert "tipforce monitor: 1 bad line left out" in printed(0, f"monitor {tmp_path}/bad.log").err
 
 
-def test_a_json_line_for_each_interval_of_the_log(log: Path, printed: Printed) -> None:
-    found = printed(0, f"monitor {log} --json --interval 0.5").records
-    assert [record["t"] for record in found] == pytest.approx([START_S + t for t in (0.5, 1.0, 1.5)], abs=0.01)
+def test_a_json_line_for_each_interval_of_the_log(hand_log: Path, printed: Printed) -> None:
+    found = printed(0, f"monitor {hand_log} --json --interval 0.5").records
+    assert [record["t"] for record in found] == pytest.approx([START_S + t for t in (0.5, 1.0, 1.5, 2.0)], abs=0.01)
 
 
-def test_once(log: Path, printed: Printed) -> None:
-    (record,) = printed(0, f"monitor {log} --once 1.55 --json").records
+def test_once(hand_log: Path, printed: Printed) -> None:
+    (record,) = printed(0, f"monitor {hand_log} --once 1.55 --json").records
     assert record["t"] == pytest.approx(START_S + 1.55, abs=0.01)
     (view,) = record["buses"]
     (of_node,) = view["nodes"]
@@ -292,10 +283,8 @@ def test_once(log: Path, printed: Printed) -> None:
     assert of_node["readings"]["P"] == {"value": None, "unit": "N", "reason": "no new sample", "stale": False}
 
 
-def test_from_stdin(log: Path) -> None:
-    words = [sys.executable, "-m", "tipforce_tools.cli.main", "monitor", "-"]
-    with log.open() as text:
-        done = subprocess.run(words, stdin=text, capture_output=True, text=True, check=False, timeout=60)
+def test_from_stdin(hand_log: Path) -> None:
+    done = process("monitor -", input=hand_log.read_text())
     assert (done.returncode, done.stderr) == (0, "")
     assert "5 (0x05)" in done.stdout
 
@@ -310,11 +299,11 @@ def test_on_a_bus(printed: Printed) -> None:
 
 
 @pytest.mark.parametrize("width", [250, 80])
-def test_the_screen_shows_what_the_text_shows(width: int, log: Path) -> None:
+def test_the_screen_shows_what_the_text_shows(width: int, hand_log: Path) -> None:
     from rich.console import Console
 
     watched = Monitor()
-    with open_log(log) as reader:
+    with open_log(hand_log) as reader:
         for frames in reader:
             watched.feed(frames, reader.channels)
     views, stream = watched.views(), io.StringIO()
@@ -327,7 +316,7 @@ def test_the_screen_shows_what_the_text_shows(width: int, log: Path) -> None:
     if width == 250:
         for cell in (*row, session.headline(views[0], 1_000_000), "what is missing", "the foot"):
             assert cell in stream.getvalue()
-        assert " ".join("\n".join(session.plain(views, 1_000_000)).split()).startswith("vcan0: ")
+        assert " ".join("\n".join(session.plain(views, 1_000_000)).split()).startswith("sim0: ")
         return
     assert "\u2026" not in stream.getvalue()
     assert next(line for line in lines if line.startswith("node")).split()[-1] == "lost"
@@ -336,8 +325,8 @@ def test_the_screen_shows_what_the_text_shows(width: int, log: Path) -> None:
     assert f"{node.readings['P'].value:.3f} N" in line
 
 
-def test_it_ends_when_told(log: Path) -> None:
-    with open_log(log) as reader:
+def test_it_ends_when_told(hand_log: Path) -> None:
+    with open_log(hand_log) as reader:
         source, watched = LogSource(reader, math.inf, 10 * MS), Monitor()
         assert not session.run(watched, source, lambda: watched.frames > 20, 0.25, None)
         assert 20 < watched.frames < 100

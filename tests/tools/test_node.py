@@ -1,12 +1,12 @@
 """`tipforce node`: what its flags make; --source from its words to scaled readings or a recording, or what to do."""
 
-import csv
 import errno
 import re
 import sys
-import types
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import can
 import pytest
@@ -17,10 +17,7 @@ from sources.iio_tree import Tree
 from tipforce.dictionary.eds import eds_text
 from tipforce.fingertip.source import Source
 from tipforce.sources import iio_sysfs
-from tipforce.sources.iio import IioSource
 from tipforce.sources.layout_file import layout_text, read_bridge, read_layout
-from tipforce.sources.replay import ReplaySource
-from tipforce.sources.simulated import SimulatedSource
 from tipforce_tools.doctor.machine import iio_checks
 from tools.rig import run_node, source_of
 
@@ -37,7 +34,6 @@ def test_defaults(devices: list[Device], capsys: pytest.CaptureFixture[str]) -> 
     assert device.od.get(0x1018, 4) == 5, "the serial number is the node-id"
     assert device.od.get(0x1021) == eds_text(3, simulated=True).encode()
     source = source_of(device)
-    assert isinstance(source, SimulatedSource)
     assert (source.noise_microstrain, source.load, source.offset_microstrain) == (0.5, (0.0, 0.0, 0.0), [0.0] * 3)
     out, err = capsys.readouterr()
     assert out == ""
@@ -49,10 +45,8 @@ def test_flags(devices: list[Device], tmp_path: Path, capsys: pytest.CaptureFixt
     store = tmp_path / "node.json"
     words = "--layout III --serial 77 --noise 0 --offset -1,2,3.5 --load -4.4,90,-60 --seed 3 -q --store"
     assert run_node(*words.split(), store) == 0
-    (device,) = devices
-    source = source_of(device)
-    assert isinstance(source, SimulatedSource)
-    assert device.od.get(0x1018, 4) == 77
+    source = source_of(devices[0])
+    assert devices[0].od.get(0x1018, 4) == 77
     assert source.offset_microstrain == [-1.0, 2.0, 3.5]
     assert source.load == (-4.4, 90.0, -60.0)
     assert capsys.readouterr() == ("", "")
@@ -103,7 +97,7 @@ def layout(folder: Path, text: str) -> Path:
     return path
 
 
-Started = Callable[..., tuple[Device, Source]]
+Started = Callable[..., tuple[Device, Any]]
 Refused = Callable[..., str]
 
 
@@ -111,7 +105,7 @@ Refused = Callable[..., str]
 def started(devices: list[Device]) -> Started:
     """Run a node with a layout and a source; the device and its gauges."""
 
-    def run(layout: object, source: str, *words: object) -> tuple[Device, Source]:
+    def run(layout: object, source: str, *words: object) -> tuple[Device, Any]:
         assert run_node("-q", "--layout", layout, "--source", source, *words) == 0
         return devices[-1], source_of(devices[-1])
 
@@ -120,11 +114,11 @@ def started(devices: list[Device]) -> Started:
 
 @pytest.fixture
 def refused(devices: list[Device], capsys: pytest.CaptureFixture[str]) -> Refused:
-    """Run a node with a layout and words that must be refused before it runs; what is said."""
+    """Run a node with a layout and a source that must be refused before it runs; what is said."""
 
-    def run(layout: object, *words: object) -> str:
+    def run(layout: object, source: str, *words: object) -> str:
         before = len(devices)
-        assert (run_node("-q", "--layout", layout, *words), len(devices)) == (2, before)
+        assert (run_node("-q", "--layout", layout, "--source", source, *words), len(devices)) == (2, before)
         return capsys.readouterr().err
 
     return run
@@ -144,7 +138,6 @@ def test_scaling_follows_from_scale_offset_and_bridge(tree: Tree, started: Start
         assert device.od.get(0x6120, sub) == pytest.approx(zero[sub - 1], rel=1e-7)
         assert device.od.get(0x6122, sub) == pytest.approx(zero[sub - 1] + 1000 * per_microstrain, rel=1e-7)
         assert device.od.get(0x6123, sub) == 1000.0
-    assert isinstance(source, IioSource)
     assert (source.count_min, source.count_max) == (0, (1 << 24) - 1)
     device.step(0)
     eds = device.od.get(0x1021)
@@ -168,7 +161,6 @@ def test_a_supply_that_is_measured(tree: Tree, started: Started) -> None:
     path = tree.add(0, "a", {"voltage0": 5, "voltage1": 6, "voltage2": 7, "voltage3": 2500}, in_voltage_scale="1.0")
     text = BRIDGE + 'supply = "device0/voltage3"\nsupply_divider = 2.0\n'
     _, source = started(layout(tree.folder, text), "iio:device0/voltage0,device0/voltage1,device0/voltage2")
-    assert isinstance(source, IioSource)
     for millivolts, faults in ((2500, 0), (2620, 0), (2630, 1 << 11), (2370, 1 << 11)):
         (path / "in_voltage3_raw").write_text(str(millivolts))
         source._supply_us = -1_000_000
@@ -183,7 +175,7 @@ def test_without_a_scale_the_table_must_state_volts_per_count(
 ) -> None:
     tree.add(0, "a", {"voltage0": 1, "voltage1": 1, "voltage2": 1})
     path = layout(tree.folder, BRIDGE)
-    said = refused(path, "--source", "iio:a")
+    said = refused(path, "iio:a")
     assert "device0/voltage0: the driver states no scale; state the converter's step" in said
 
     def refuse(_path: Path, _channel: str, name: str) -> float | None:
@@ -192,7 +184,7 @@ def test_without_a_scale_the_table_must_state_volts_per_count(
         return None
 
     monkeypatch.setattr(iio_sysfs, "attribute", refuse)
-    said = refused(path, "--source", "iio:a")
+    said = refused(path, "iio:a")
     assert "does not state its scale (Invalid argument: no regulator)" in said
     assert "[bridge] volts_per_count" in said
     path.write_text(BRIDGE + "volts_per_count = 0.001\n")
@@ -205,17 +197,17 @@ def test_what_does_not_fit_is_said(tree: Tree, refused: Refused, words: str, tex
     tree.add(1, "b", {"voltage": 1}, bits="le:u8/8>>0", in_voltage_scale="1")
     tree.add(2, "c", {"voltage": 1}, bits="", in_voltage_scale="1")
     tree.add(3, "d", {}, bits="")
-    assert message in refused(layout(tree.folder, text), "--source", words)
+    assert message in refused(layout(tree.folder, text), words)
 
 
 def test_capture_by_a_trigger_that_is_not_there(tree: Tree, started: Started, refused: Refused) -> None:
     tree.add(0, "a", {"voltage0": 1, "voltage1": 1, "voltage2": 1}, in_voltage_scale="1")
     path = layout(tree.folder, BRIDGE)
-    assert "--trigger t0: no such trigger; there are none" in refused(path, "--source", "iio:a", "--trigger", "t0")
-    assert "modprobe iio-trig-hrtimer" in refused(path, "--source", "iio:a", "--capture", "buffer")
+    assert "--trigger t0: no such trigger; there are none" in refused(path, "iio:a", "--trigger", "t0")
+    assert "modprobe iio-trig-hrtimer" in refused(path, "iio:a", "--capture", "buffer")
     tree.add_trigger(0, "adc-dev0")
     assert started(path, "iio:a")[1].read(0) is not None, "a trigger, but no buffer: polled, and said"
-    assert "buffered capture cannot be set up" in refused(path, "--source", "iio:a", "--capture", "buffer")
+    assert "buffered capture cannot be set up" in refused(path, "iio:a", "--capture", "buffer")
 
 
 def test_the_bridge_table_is_the_node_s_alone(tmp_path: Path) -> None:
@@ -225,9 +217,10 @@ def test_the_bridge_table_is_the_node_s_alone(tmp_path: Path) -> None:
     assert "bridge" not in layout_text(*read_layout(str(path)))
 
 
-class _Attribute:
-    def __init__(self, text: str) -> None:
-        self.value = text
+class Gone:
+    @property
+    def value(self) -> str:
+        raise OSError(errno.ETIMEDOUT, "Connection timed out")
 
 
 def test_a_remote_board_by_a_stand_in_for_pylibiio(
@@ -236,54 +229,39 @@ def test_a_remote_board_by_a_stand_in_for_pylibiio(
     """pylibiio itself needs libiio and a board with iiod: here its classes are played by a few lines."""
     up = [True]
 
-    def channel(name: str, **attributes: str) -> types.SimpleNamespace:
-        attrs = {key: _Attribute(text) for key, text in attributes.items()}
-        return types.SimpleNamespace(id=name, output=False, attrs=attrs)
+    def channel(name: str, **attributes: str) -> SimpleNamespace:
+        attrs = {key: SimpleNamespace(value=text) for key, text in attributes.items()}
+        return SimpleNamespace(id=name, output=False, attrs=attrs)
 
-    board = types.SimpleNamespace(
-        name="adc", id="iio:device0",
-        channels=[channel(f"voltage{k}", raw=str(10 * k), scale="0.5", offset="-3") for k in (0, 1, 2)]
-        + [channel("temp", raw="100", scale="250")],
-    )  # fmt: skip
+    gauges = [channel(f"voltage{k}", raw=str(10 * k), scale="0.5", offset="-3") for k in (0, 1, 2)]
+    board = SimpleNamespace(name="adc", id="iio:device0", channels=[*gauges, channel("temp", raw="100", scale="250")])
 
-    class Context:
-        def __init__(self, uri: str) -> None:
-            if not up[0]:
-                raise OSError(errno.ECONNREFUSED, "Connection refused")
-            assert uri == "ip:board"
-            self.devices = [board]
+    def set_timeout(timeout_ms: int) -> None:
+        assert timeout_ms < 100
 
-        def set_timeout(self, timeout_ms: int) -> None:
-            assert timeout_ms < 100
-
-        def find_device(self, name: str) -> types.SimpleNamespace | None:
-            return board if name == "adc" else None
+    def context(uri: str) -> SimpleNamespace:
+        if not up[0]:
+            raise OSError(errno.ECONNREFUSED, "Connection refused")
+        assert uri == "ip:board"
+        return SimpleNamespace(devices=[board], set_timeout=set_timeout, find_device={"adc": board}.get)
 
     path = layout(tree.folder, BRIDGE + "count_range = [0, 4095]\n")
     monkeypatch.setitem(sys.modules, "iio", None)
-    assert "pip install 'tipforce[iio]'" in refused(path, "--source", "iio:ip:board/adc")
-    monkeypatch.setitem(sys.modules, "iio", types.SimpleNamespace(Context=Context))
-    assert "no such device; allowed: adc" in refused(path, "--source", "iio:ip:board/dac")
+    assert "pip install 'tipforce[iio]'" in refused(path, "iio:ip:board/adc")
+    monkeypatch.setitem(sys.modules, "iio", SimpleNamespace(Context=context))
+    assert "no such device; allowed: adc" in refused(path, "iio:ip:board/dac")
     device, source = started(path, "iio:ip:board/adc")
-    assert isinstance(source, IioSource)
     source.parts[0].reopen()  # the node closed it when it ended
     assert source.read(1_000_000) == ((0, 10, 20), 0, 2500)
     assert device.od.get(0x6120, 1) == 5000 + 3
-    board.channels[1].attrs["raw"] = type("Gone", (), {"value": property(_gone)})()
-    assert (source.read(1_001_000), source.faults) == (None, 1 << 8)
-    up[0] = False
-    assert (source.read(1_200_000), source.faults) == (None, 1 << 8)
-    up[0] = True
-    board.channels[1].attrs["raw"] = _Attribute("?")  # what is no number does not end the node
-    assert (source.read(1_300_500), source.faults) == (None, 1 << 8)
-    board.channels[1].attrs["raw"] = _Attribute("11")
+    no_number = SimpleNamespace(value="?")  # does not end the node
+    for raw, up[0], now_us in ((Gone(), True, 1_001_000), (Gone(), False, 1_200_000), (no_number, True, 1_300_500)):
+        gauges[1].attrs["raw"] = raw
+        assert (source.read(now_us), source.faults) == (None, 1 << 8)
+    gauges[1].attrs["raw"] = SimpleNamespace(value="11")
     assert (counts(source, 1_500_000), source.faults) == ([(0, 11, 20)], 0)
     up[0] = False
-    assert "check that iiod runs there: `iio_info -u ip:board`" in refused(path, "--source", "iio:ip:board/adc")
-
-
-def _gone(_self: object) -> str:
-    raise OSError(errno.ETIMEDOUT, "Connection timed out")
+    assert "check that iiod runs there: `iio_info -u ip:board`" in refused(path, "iio:ip:board/adc")
 
 
 def counts(source: Source, *times_us: int) -> list[tuple[int, ...] | None]:
@@ -330,10 +308,8 @@ def test_doctor_without_converters(tree: Tree, monkeypatch: pytest.MonkeyPatch) 
 
 def test_a_recording_in_csv(tmp_path: Path, started: Started) -> None:
     path = tmp_path / "session.csv"
-    with path.open("w", newline="") as file:
-        csv.writer(file).writerows([["t_s", "SG1", "SG2", "SG3", "P_N"], [1, 1.04, -2, 3, 0], [1.5, 4, 5, 9999, 0]])
+    path.write_text("t_s,SG1,SG2,SG3,P_N\n1,1.04,-2,3,0\n1.5,4,5,9999,0\n")
     _, source = started("I", f"replay:{path}", "--speed", "2", "--loop")
-    assert isinstance(source, ReplaySource)
     first = (10, -20, 30)
     assert counts(source, 0, 249_999, 250_000, 500_000) == [first, None, (40, 50, 32767), first]
     assert counts(started("I", f"replay:{path}", "--bits", "24")[1], 0) == [(2662, -5120, 7680)]
@@ -349,6 +325,6 @@ def test_a_recording_of_candump(tmp_path: Path, started: Started, refused: Refus
         "(1.004000) can0 186#0100010001000201",
     )
     path.write_text("\n".join(lines) + "\n")
-    assert f"contains gauges of the nodes 5, 6; choose one: {path}@5" in refused("I", "--source", f"replay:{path}")
+    assert f"contains gauges of the nodes 5, 6; choose one: {path}@5" in refused("I", f"replay:{path}")
     _, source = started("I", f"replay:{path}@5")
     assert counts(source, 0, 1500, 3500) == [(10, -20, 30), None, (32767, -32768, 5)]

@@ -1,6 +1,5 @@
 """Outputs are safe: a failed write leaves the old file; no control character of a file or device is shown."""
 
-import contextlib
 import json
 import re
 import resource
@@ -24,22 +23,16 @@ from tipforce.host.configuration.calibration import write_calibration
 from tipforce.output_file import CALIBRATION, NewFile, new_file, write_file
 from tipforce.scene import beam_calibration
 from tipforce.sensor.calibration.simulation import simulate
-from tipforce_tools.cli.main import COMMANDS, main
+from tipforce_tools.cli.main import COMMANDS
 from tools.blocks import CONTACTS_LOG
-from tools.rig import Printed, Tipforce, write_readings
+from tools.rig import Printed, exit_code, files, write_readings
 from tools.test_log import counting
 
 SCENE = """
 duration_s = 0.05
 sync_hz = 200
-[[nodes]]
-ids = [1]
-pdos = ["contact"]
-[[loads]]
-kind = "static"
-P_N = 2.0
-phi_deg = -90
-theta_deg = 80
+nodes = [{ ids = [1], pdos = ["contact"] }]
+loads = [{ kind = "static", P_N = 2.0, phi_deg = -90, theta_deg = 80 }]
 [outputs]
 """
 
@@ -98,14 +91,10 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def files(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-
-
 @pytest.mark.parametrize(("command", "name", "old"), WRITES, ids=[f"{c.split()[0]}-{n}" for c, n, _ in WRITES])
 def test_a_failed_write_leaves_the_old_file(
     command: str, name: str, old: bytes, inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    tipforce: Tipforce,
+    printed: Printed,
 ) -> None:  # fmt: skip
     for path in inputs.iterdir():
         (tmp_path / path.name).symlink_to(path)
@@ -115,8 +104,8 @@ def test_a_failed_write_leaves_the_old_file(
     before = files(tmp_path)
     channel = new_channel()
     with connected(finger(5), channel=channel), full_disk():
-        code, _, err = tipforce(command.format(bus=f"-i virtual -c {channel}"))
-    assert (code, files(tmp_path)) == (1, before), err
+        err = printed(1, command.format(bus=f"-i virtual -c {channel}")).err
+    assert files(tmp_path) == before, err
     last = err.splitlines()[-1]
     assert Path(name).name in last or name.split("/", maxsplit=1)[0] in last
     assert "File too large" in last
@@ -286,7 +275,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (found / "lines.pcapng").write_bytes(start + b"".join(frames))
     write_calibration(found / "cal.toml", beam_calibration("I", pull=True))
     logs = [str(found / name) for name in ("run.log", "lines.pcapng", f"{NAME}.log")]
-    main(["decode", *logs, "-q", "-o", f"{found}/data/"])
+    exit_code(["decode", *logs, "-q", "-o", f"{found}/data/"])
     return found
 
 
@@ -301,15 +290,8 @@ def hostile_devices(folder: Path) -> Iterator[Device]:
         yield device
 
 
-def called(line: str, channel: str) -> None:
-    """Run a command line; BUS, NAME, HOSTILE, SELECT stand for what no line of words can hold."""
-    words = {"BUS": channel, "SELECT": "select *, chr(27) || chr(10) || 'INJECTED' as x from samples limit 2"}
-    given = [words.get(word, word).replace("NAME", NAME).replace("HOSTILE", HOSTILE) for word in line.split()]
-    with contextlib.suppress(SystemExit):  # argparse
-        main(given)
-
-
 LINES = [line for lines in CASES.values() for line in lines] + [f"{name} --HOSTILE" for name in COMMANDS]
+SELECT = "select *, chr(27) || chr(10) || 'INJECTED' as x from samples limit 2"
 
 
 @pytest.mark.parametrize("line", LINES)
@@ -318,8 +300,9 @@ def test_output_has_no_control_characters(
 ) -> None:
     monkeypatch.chdir(folder)
     channel = new_channel()
+    words = {"BUS": channel, "SELECT": SELECT}
     with connected(*(hostile_devices(folder) if "BUS" in line else ()), channel=channel):
-        called(line, channel)
+        exit_code([words.get(w, w).replace("NAME", NAME).replace("HOSTILE", HOSTILE) for w in line.split()])
     out, err = capsys.readouterr()
     assert out + err
     shown = COLOURS.sub("", out) if "--color always" in line else out

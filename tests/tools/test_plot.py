@@ -15,10 +15,11 @@ from hypothesis import strategies as st
 
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.dataset.reader import tables_of_logs
+from tipforce.scene import beam_calibration
 from tipforce_tools.cli.main import main
 from tipforce_tools.plot.figure import broken, wrapped
 from tipforce_tools.plot.fingers import BINS, COVERAGE, Bins, Finger, Flags, Line, Lost, Trace
-from tools.hand_log import START_S, Fault, calibration, contact_pdo, hand_log
+from tools.hand_log import START_S, contact_pdo, write_hand_log
 from tools.rig import Printed
 
 T0 = 1_700_000_000_000_000_000
@@ -171,19 +172,6 @@ def test_lost_samples_are_marked_and_counted() -> None:
     assert ((lost.times_ns() - T0) // MS).tolist() == [2, 6]
 
 
-FAULTS = (
-    Fault(5, "open", 0.6, 0.8), Fault(5, "lost", 1.2, 1.25), Fault(5, "silent", 1.5, 1.6),
-    Fault(5, "saturated", 1.8, 1.85),
-)  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("plot") / "one.log"
-    path.write_text(hand_log((5,), 2.0, 100, faults=FAULTS))
-    return path
-
-
 Plotted = Callable[..., list[dict[str, Any]]]
 
 
@@ -199,11 +187,11 @@ def words_of(path: Path) -> str:
 
 
 @pytest.mark.parametrize(("suffix", "start"), [(".svg", b"<?xml"), (".pdf", b"%PDF-"), (".PNG", b"\x89PNG\r\n")])
-def test_the_formats(suffix: str, start: bytes, one: Path, tmp_path: Path, plotted: Plotted) -> None:
+def test_the_formats(suffix: str, start: bytes, hand_log: Path, tmp_path: Path, plotted: Plotted) -> None:
     path = tmp_path / f"run{suffix}"
-    plotted(one, "-o", path)
+    plotted(hand_log, "-o", path)
     first = path.read_bytes()
-    (node,) = plotted(one, "-o", path)
+    (node,) = plotted(hand_log, "-o", path)
     assert first.startswith(start)
     assert path.read_bytes() == first, "equal data give equal files"
     assert node["node"] == "node 5 (0x05)"
@@ -211,9 +199,9 @@ def test_the_formats(suffix: str, start: bytes, one: Path, tmp_path: Path, plott
     assert node["lost"] == 5
 
 
-def test_everything_is_written_on_it(one: Path, tmp_path: Path, plotted: Plotted) -> None:
+def test_everything_is_written_on_it(hand_log: Path, tmp_path: Path, plotted: Plotted) -> None:
     path = tmp_path / "run.svg"
-    plotted(one, "-o", path)
+    plotted(hand_log, "-o", path)
     text = words_of(path)
     for words in (
         "node 5 (0x05), 5 samples lost", "P (N)", "phi (deg)", "theta (deg)", "strain (microstrain)", "SG3", "time (s)",
@@ -256,24 +244,24 @@ def test_a_legend_lies_on_no_trace_and_no_title(signals: str, tmp_path: Path, mo
     assert not any(legend.overlaps(other.get_window_extent()) for other in figure.axes if other is not axes)
 
 
-def test_choice_of_signals_times_and_size(one: Path, tmp_path: Path, plotted: Plotted) -> None:
+def test_choice_of_signals_times_and_size(hand_log: Path, tmp_path: Path, plotted: Plotted) -> None:
     path = tmp_path / "part.png"
     words = ["--signals", "P,temperature", "--from", "1", "--to", "1.1", "--size", "127x76.2mm"]
-    (node,) = plotted(one, "-o", path, *words)
+    (node,) = plotted(hand_log, "-o", path, *words)
     assert node["signals"] in (["P"], ["P", "temperature"])
     assert path.read_bytes()[16:24] == (650).to_bytes(4, "big") + (390).to_bytes(4, "big")
     svg = tmp_path / "part.svg"
-    plotted(one, "-o", svg, *words)
+    plotted(hand_log, "-o", svg, *words)
     assert "contact" not in words_of(svg)
 
 
-def test_with_a_calibration_the_contact_comes_from_the_gauges(one: Path, tmp_path: Path, plotted: Plotted) -> None:
+def test_with_a_calibration_the_contact_comes_from_the_gauges(hand_log: Path, tmp_path: Path, plotted: Plotted) -> None:
     """The host's contact is as often unknown as the node's, and has bands of its own."""
     cal = tmp_path / "cal.toml"
-    write_calibration(cal, calibration())
+    write_calibration(cal, beam_calibration("I"))
     no_contact = tmp_path / "gauges.log"
-    no_contact.write_text("".join(line for line in one.read_text().splitlines(True) if " 285#" not in line))
-    (from_node,) = plotted(one, "-o", tmp_path / "a.svg")
+    no_contact.write_text("".join(line for line in hand_log.read_text().splitlines(True) if " 285#" not in line))
+    (from_node,) = plotted(hand_log, "-o", tmp_path / "a.svg")
     (from_gauges,) = plotted(no_contact, "-o", tmp_path / "b.svg", "--calibration", f"5={cal}")
     assert set(from_gauges["signals"]) == set(from_node["signals"])
     for signal, slack in (("P", 0), ("phi", 4), ("theta", 4)):
@@ -283,25 +271,21 @@ def test_with_a_calibration_the_contact_comes_from_the_gauges(one: Path, tmp_pat
 
 
 def test_five_fingers_share_a_row(tmp_path: Path, plotted: Plotted) -> None:
-    log = tmp_path / "five.log"
-    log.write_text(hand_log((1, 2, 3, 4, 5), 1.0, 100))
-    path = tmp_path / "five.svg"
+    log, path = write_hand_log(tmp_path / "five.log", (1, 2, 3, 4, 5), 1.0), tmp_path / "five.svg"
     assert len(plotted(log, "-o", path)) == 5
     text = words_of(path)
     assert text.count("P (N)") == text.count("theta unresolved") == 1
     assert all(f"node {k} (0x0{k})" in text for k in range(1, 6))
-    assert [node["node"] for node in plotted(log, "-o", path, "--nodes", "2-3")] == [
-        "node 2 (0x02)",
-        "node 3 (0x03)",
-    ]
+    nodes = [node["node"] for node in plotted(log, "-o", path, "--nodes", "2-3")]
+    assert nodes == ["node 2 (0x02)", "node 3 (0x03)"]
 
 
-def test_several_logs_are_one_recording(one: Path, tmp_path: Path, plotted: Plotted) -> None:
-    lines = one.read_text().splitlines(True)
+def test_several_logs_are_one_recording(hand_log: Path, tmp_path: Path, plotted: Plotted) -> None:
+    lines = hand_log.read_text().splitlines(True)
     halves = [tmp_path / "1.log", tmp_path / "2.log"]
     for path, part in zip(halves, (lines[: len(lines) // 2], lines[len(lines) // 2 :]), strict=True):
         path.write_text("".join(part))
-    whole = plotted(one, "-o", tmp_path / "a.png")
+    whole = plotted(hand_log, "-o", tmp_path / "a.png")
     assert plotted(*map(str, halves), "-o", tmp_path / "b.png") == whole
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
@@ -315,14 +299,14 @@ def test_a_single_sample_is_a_point(tmp_path: Path, plotted: Plotted) -> None:
     assert "always unknown" in words_of(tmp_path / "point.svg")
 
 
-def test_uncertainty_of_tpdo4_is_held(one: Path) -> None:
+def test_uncertainty_of_tpdo4_is_held(hand_log: Path) -> None:
     """u_P comes with TPDO4 a few times a second; each P between has the last of them."""
     from tipforce.host.decoding.log_part import Reading
     from tipforce.host.decoding.pdo_layout import Layouts
     from tipforce.host.decoding.recording import Recording
 
     finger: Finger | None = None
-    for table in tables_of_logs(Recording(Reading(Layouts())), [str(one)]):
+    for table in tables_of_logs(Recording(Reading(Layouts())), [str(hand_log)]):
         finger = finger or Finger(int(table.t_ns[0]), ("P",), ())
         finger.add(table)
     assert finger is not None
@@ -341,9 +325,9 @@ def test_uncertainty_of_tpdo4_is_held(one: Path) -> None:
     ],
 )
 def test_without_matplotlib_it_says_what_to_install(
-    line: str, said: str, one: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, printed: Printed
+    line: str, said: str, hand_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, printed: Printed
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    out, err = printed(2, line.replace("LOG", str(one)).replace("FOLDER", str(tmp_path)))
+    out, err = printed(2, line.replace("LOG", str(hand_log)).replace("FOLDER", str(tmp_path)))
     assert said in err
     assert bool(out) == line.startswith("design")

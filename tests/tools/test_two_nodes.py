@@ -1,7 +1,6 @@
 """Two nodes with one node-id: every command that speaks or listens to them says it, with the remedy; and it helps."""
 
 import itertools
-import json
 import re
 import time
 from collections.abc import Iterator
@@ -21,7 +20,7 @@ from tipforce.host.logs.reader import open_log
 from tipforce.watching.bus_monitor import BusMonitor
 from tipforce.watching.feeds import Finger, Watcher
 from tipforce.watching.findings import Observed, findings
-from tools.rig import Printed, Tipforce, until
+from tools.rig import Printed, until
 
 SAID = "two nodes respond as node 5"
 SPEAKING = (
@@ -52,14 +51,14 @@ def bus(request: pytest.FixtureRequest) -> Iterator[tuple[str, int]]:
 
 @pytest.mark.parametrize("line", SPEAKING)
 def test_a_command_that_speaks_to_the_node_says_it(
-    line: str, bus: tuple[str, int], tmp_path: Path, tipforce: Tipforce
+    line: str, bus: tuple[str, int], tmp_path: Path, printed: Printed
 ) -> None:
     write_calibration(tmp_path / "cal.toml", beam_calibration())
     (tmp_path / "settings.toml").write_text('[objects]\n"heartbeat.producer_ms" = 500\n')
     channel, serial = bus
-    ended = tipforce(f"{line.replace('FOLDER', str(tmp_path))} -i virtual -c {channel}")
-    code, _, err = ended
-    assert (code, err.count(SAID), "Traceback" in err) == (1, 1, False), err
+    ended = printed(1, f"{line.replace('FOLDER', str(tmp_path))} -i virtual -c {channel}")
+    err = ended.err
+    assert (err.count(SAID), "Traceback" in err) == (1, False), err
     if serial == 1006:
         assert "(serial numbers 1005, 1006): give one of them another node-id: `tipforce lss assign ID" in err
     else:
@@ -108,12 +107,12 @@ def log_of(service: str, folder: Path) -> Path:
 )  # fmt: skip
 def test_a_command_that_reads_a_log_says_it(line: str, service: str, tmp_path: Path, printed: Printed) -> None:
     words = line.replace("LOG", str(log_of(service, tmp_path))).replace("OUT", str(tmp_path / "out")).split()
-    out, err = printed(0, words)
-    assert SERVICES[service][1] in out + err
+    ended = printed(0, words)
+    assert SERVICES[service][1] in ended.out + ended.err
     if line.startswith("decode"):
         assert "duplicate" in (tmp_path / "out.events.csv").read_text()
     if line == "monitor LOG --once 5.8 --json":
-        last = json.loads(out.splitlines()[-1])["buses"][0]["nodes"]
+        last = ended.records[-1]["buses"][0]["nodes"]
         assert [bool(one["duplicate"]) for one in last] == [True, False]
 
 
@@ -126,10 +125,8 @@ def test_doctor_the_page_and_a_hand_say_it_of_frames(service: str, tmp_path: Pat
     seen.take(frames)
     assert [finding.finding for finding in findings(seen) if finding.state == "fail"] == [cause]
     said = [] if service == "SDO" else [cause]  # their own SDO channels say that: those see all requests
-    _, events = Watcher(Finger, fingers=[Finger(5)]).add(frames, 0.0)
-    assert [event.text.partition(":")[0] for event in events if event.kind == "duplicate"] == said
-    events = Supervisor([5]).add(frames, 0.0)
-    assert [event.text.partition(":")[0] for event in events if event.kind == "duplicate"] == said
+    for events in (Watcher(Finger, fingers=[Finger(5)]).add(frames, 0.0)[1], Supervisor([5]).add(frames, 0.0)):
+        assert [event.text.partition(":")[0] for event in events if event.kind == "duplicate"] == said
 
 
 def test_monitor_sees_the_samples_of_two_nodes() -> None:

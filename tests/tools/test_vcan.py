@@ -1,16 +1,16 @@
 """`tipforce vcan`, as far as it goes without booting anything: test_vcan_boot.py and the Makefile do that."""
 
 import argparse
+import io
 import os
+import shlex
 import shutil
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Sequence
 from importlib.resources import files
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -18,6 +18,7 @@ from tipforce.errors import EnvironmentLackError, InputError
 from tipforce_tools import vcan
 from tipforce_tools.cli.main import main
 from tipforce_tools.kernel import host, uml
+from tools.rig import Terminal
 
 SCRIPT = files("tipforce_tools.kernel").joinpath("init.sh").read_text()
 needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="the machine has no bash")
@@ -80,7 +81,7 @@ def test_where_it_cannot_run_one_line_says_what_to_try(
 ) -> None:
     fake_kernel(monkeypatch)
     monkeypatch.setattr(sys, "platform", platform)
-    monkeypatch.setattr(sys, "stdin", stdin(terminal=False))
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
     with pytest.raises(error, match=message):
         vcan.run(parse(*words.split()))
 
@@ -106,35 +107,21 @@ def test_an_ordinary_user_gets_a_user_namespace(user: int, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize(
-    ("words", "expected"),
+    ("words", "shell", "expected"),
     [
-        (["--", "echo", "hi"], ["echo", "hi"]),
-        (["echo", "-n", "--uml"], ["echo", "-n", "--uml"]),
-        (["--uml", "--timeout", "5", "--", "sh", "-c", "exit 1"], ["sh", "-c", "exit 1"]),
-        (["--", "env", "--", "ls"], ["env", "--", "ls"]),
+        ("-- echo hi", "", "echo hi"), ("echo -n --uml", "", "echo -n --uml"), ("-- env -- ls", "", "env -- ls"),
+        ("--uml --timeout 5 -- sh -c 'exit 1'", "", "sh -c 'exit 1'"),
+        ("", "/bin/sh", "/bin/sh"), ("", "/no/such/shell", "bash"), ("", "", "bash"),
     ],
-)
-def test_the_command_is_taken_word_for_word(
-    words: list[str], expected: list[str], monkeypatch: pytest.MonkeyPatch, asked: list[tuple[str, list[str]]]
+)  # fmt: skip
+def test_the_command_is_taken_word_for_word_and_without_one_it_is_a_shell_on_a_terminal(
+    words: str, shell: str, expected: str, monkeypatch: pytest.MonkeyPatch, asked: list[tuple[str, list[str]]]
 ) -> None:
     fake_kernel(monkeypatch)
-    assert vcan.run(parse(*words)) == 4
-    assert asked == [("uml", expected)]
-
-
-def stdin(*, terminal: bool) -> SimpleNamespace:
-    return SimpleNamespace(isatty=lambda: terminal)
-
-
-@pytest.mark.parametrize(("shell", "expected"), [("/bin/sh", "/bin/sh"), ("/no/such/shell", "bash"), ("", "bash")])
-def test_no_command_is_a_shell_on_a_terminal(
-    shell: str, expected: str, monkeypatch: pytest.MonkeyPatch, asked: list[tuple[str, list[str]]]
-) -> None:
-    fake_kernel(monkeypatch)
-    monkeypatch.setattr(sys, "stdin", stdin(terminal=True))
+    monkeypatch.setattr(sys, "stdin", Terminal())
     monkeypatch.setenv("SHELL", shell)
-    vcan.run(parse())
-    assert asked == [("uml", [expected])]
+    assert vcan.run(parse(*shlex.split(words))) == 4
+    assert asked == [("uml", shlex.split(expected))]
 
 
 @pytest.mark.parametrize(
@@ -150,12 +137,11 @@ def test_a_shell_is_told_where_it_is_and_what_becomes_of_its_files(
     flags: list[str], can_make: bool, expected: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fake_kernel(monkeypatch, can_make=can_make)
-    monkeypatch.setattr(sys, "stdin", stdin(terminal=True))
+    monkeypatch.setattr(sys, "stdin", Terminal())
     vcan.run(parse(*flags))
     said = capsys.readouterr()
     assert expected in said.err
-    assert said.err.count("\n") == 1
-    assert said.out == ""
+    assert (said.out, said.err.count("\n")) == ("", 1)
     vcan.run(parse(*flags, "--", "true"))
     assert capsys.readouterr().err == "", "a command's stderr is its own"
 
@@ -171,19 +157,11 @@ def test_a_command_that_is_not_there_is_127_before_anything_boots(
 # Running on this kernel
 
 
-def python(code: str) -> list[str]:
-    return [sys.executable, "-c", code]
-
-
 @pytest.mark.parametrize(
-    ("code", "expected"),
-    [
-        ("pass", 0), ("raise SystemExit(3)", 3), ("import os; os.kill(os.getpid(), 9)", 137),
-        ("import os; os.kill(os.getpid(), 15)", 143),
-    ],
-)  # fmt: skip
-def test_exit_codes_are_the_commands_own(code: str, expected: int) -> None:
-    assert host.run_here(python(code)) == expected
+    ("script", "expected"), [("true", 0), ("exit 3", 3), ("kill -9 $$", 137), ("kill -15 $$", 143)]
+)
+def test_exit_codes_are_the_commands_own(script: str, expected: int) -> None:
+    assert host.run_here(["sh", "-c", script]) == expected
 
 
 def test_a_program_that_the_system_refuses_is_126_or_127(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -195,24 +173,15 @@ def test_a_program_that_the_system_refuses_is_126_or_127(tmp_path: Path, capfd: 
     assert "Exec format error" in capfd.readouterr().err
 
 
-def test_a_timeout_ends_the_command_and_says_so(
+def test_a_timeout_or_a_signal_ends_the_command(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sys, "stdin", stdin(terminal=False))
-    assert host.run_here(python("import time; time.sleep(60)"), timeout_s=0.2) == 1
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    assert host.run_here(["sleep", "60"], timeout_s=0.2) == 1
     assert "ended after 0.2 s (--timeout)" in capfd.readouterr().err
-
-
-def test_a_terminating_signal_is_130(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdin", stdin(terminal=False))
     monkeypatch.setattr(host, "choose", lambda *_: "direct")
-    timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGTERM))
-    timer.start()
-    try:
-        assert main(["vcan", "--timeout", "30", "--", *python("import time; time.sleep(60)")]) == 130
-    finally:
-        timer.cancel()
-        timer.join()
+    signals = f"sleep 0.3; kill -TERM {os.getpid()}; sleep 60"
+    assert main(["vcan", "--timeout", "30", "--", "sh", "-c", signals]) == 130
 
 
 # User-mode Linux: all but the boot
@@ -287,7 +256,7 @@ def boot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Boot:
     monkeypatch.setattr(uml, "find_program", lambda _name: str(program))
     monkeypatch.setattr(uml, "require_parts", lambda: None)
     monkeypatch.setattr(uml, "preloading", lambda _folder: {})
-    monkeypatch.setattr(sys, "stdin", stdin(terminal=False))
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
 
     def run(script: str, timeout_s: float | None = None) -> int:
         read_arguments = (

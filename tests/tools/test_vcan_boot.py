@@ -15,6 +15,7 @@ import pytest
 from tipforce.errors import EnvironmentLackError
 from tipforce_tools.doctor.machine import vcan_checks
 from tipforce_tools.kernel import host, uml
+from tools.rig import TIPFORCE
 
 FILES = 600
 LACKING = host.missing_packages() if sys.platform == "linux" else ["Linux"]
@@ -94,9 +95,7 @@ def test_a_command_is_attached_to_a_running_machine(
         with pytest.raises(EnvironmentLackError, match="no `tipforce vcan` of yours runs"):
             uml.run_attached(["true"], list)
         words = ["vcan", "--uml", "--memory", "512M", "--", "sleep", "600"]
-        machine = subprocess.Popen(
-            [sys.executable, "-m", "tipforce_tools.cli.main", *words], env={**os.environ, "TMPDIR": folder}
-        )
+        machine = subprocess.Popen([*TIPFORCE, *words], env={**os.environ, "TMPDIR": folder})
         try:
             deadline = time.monotonic() + 120.0
             while not list(Path(folder).glob("*/started")) and time.monotonic() < deadline:
@@ -108,7 +107,7 @@ def test_a_command_is_attached_to_a_running_machine(
             ours, theirs = pty.openpty()
             termios.tcsetwinsize(theirs, (40, 100))
             shell = subprocess.Popen(
-                [sys.executable, "-m", "tipforce_tools.cli.main", "vcan", "--attach"], start_new_session=True,
+                [*TIPFORCE, "vcan", "--attach"], start_new_session=True,
                 env={**os.environ, "TMPDIR": folder, "HOME": folder, "SHELL": "/bin/bash"},
                 stdin=theirs, stdout=theirs, stderr=theirs,
             )  # fmt: skip

@@ -10,21 +10,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tools.ros2.test_loopback import LOOPBACK
-
-HERE = Path(__file__).parent
+from tools.ros2 import test_loopback
 
 
 @pytest.fixture(scope="module")
 def received(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[str, Any]]]:
     """Messages by topic."""
-    hand = [sys.executable, str(HERE / "loopback_hand.py"), str(tmp_path_factory.mktemp("hand"))]
-    reader = [os.environ["TIPFORCE_ROS_PYTHON"], str(HERE / "rclpy_reader.py"), *hand]
+    folder = str(tmp_path_factory.mktemp("hand"))
+    hand = ["env", f"PYTHONPATH={os.pathsep.join(sys.path)}", sys.executable, test_loopback.__file__, folder, "hand"]
+    reader = [os.environ["TIPFORCE_ROS_PYTHON"], str(Path(__file__).with_name("rclpy_reader.py")), *hand]
     environment = {
         name: text for name, text in os.environ.items() if not name.startswith(("ROS_", "CYCLONEDDS_", "FASTDDS_"))
     }
     done = subprocess.run(
-        ["unshare", "-rn", "sh", "-c", LOOPBACK, "sh", *reader],
+        ["unshare", "-rn", "sh", "-c", test_loopback.LOOPBACK, "sh", *reader],
         env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -1,10 +1,10 @@
 """`tipforce ros2` beside a simulated hand, read by rosless in a process of this file; both in a network namespace."""
 
 import json
-import os
-import shutil
+import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,8 +14,10 @@ import numpy as np
 import pytest
 import rosless
 
+import tipforce
 from tipforce import Status
 from tipforce.shipped_files import shipped_folder
+from tools.rig import exit_code, in_namespace
 
 LOOPBACK = 'ip link set lo up multicast on && ip route add 224.0.0.0/4 dev lo && exec "$@"'
 WAIT_S = 120.0  # far more than on an idle machine
@@ -24,17 +26,9 @@ _EMPTY = b"\x00\x01\x00\x00" + bytes(4)  # as rosidl sends it, padded; the encod
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    assert shutil.which("unshare"), "install util-linux and iproute2"
-    folder = tmp_path_factory.mktemp("ros2")
-    reader = [sys.executable, __file__, str(folder)]
     # ROS_LOCALHOST_ONLY: the configuration that users choose for one machine.
-    environment = {
-        **os.environ, "ROS_DOMAIN_ID": "7", "ROS_LOCALHOST_ONLY": "1", "PYTHONPATH": os.pathsep.join(sys.path),
-    }  # fmt: skip
-    done = subprocess.run(
-        ["unshare", "-rn", "sh", "-c", LOOPBACK, "sh", *reader],
-        env=environment, capture_output=True, text=True, timeout=600, check=False,
-    )  # fmt: skip
+    words = (sys.executable, __file__, tmp_path_factory.mktemp("ros2"))
+    done = in_namespace(LOOPBACK, *words, ROS_DOMAIN_ID="7", ROS_LOCALHOST_ONLY="1")
     assert done.returncode == 0, done.stderr + done.stdout
     found: dict[str, Any] = json.loads(done.stdout)
     assert found["code"] == 0, found["stderr"]
@@ -89,10 +83,35 @@ def test_diagnostics_tare_and_faults(seen: dict[str, Any]) -> None:
     assert any(one["name"] == "left: index" and one["level"] == 2 for one in seen["fault"]["status"])
 
 
-def main(folder: str) -> None:
-    """Print one JSON record of what rosless reads of loopback_hand."""
+HAND = """
+bus = { interface = "virtual", channel = "ros2" }
+hand = { sync_hz = 50 }
+finger = [{ name = "thumb", node_id = 1 }, { name = "index", node_id = 2 }]
+"""
+LOADS = {1: (4.4, -90.0, 80.0), 2: (2.2, -100.0, 70.0)}
+
+
+def run_hand(folder: Path) -> int:
+    """A simulated hand and `tipforce ros2` on its bus, until stdin says end; it also obeys: fault NODE NAME."""
+
+    def obey(bus: tipforce.SimulatedBus) -> None:
+        for line in sys.stdin:
+            what, *rest = line.split()
+            if what == "fault":
+                bus.inject_fault(int(rest[0]), rest[1])
+            elif what == "end":
+                signal.raise_signal(signal.SIGTERM)  # SIGINT is ignored in what a shell runs in the background
+
+    (folder / "hand.toml").write_text(HAND)
+    with tipforce.simulated_hand(len(LOADS), LOADS, interface="virtual", channel="ros2") as bus:
+        threading.Thread(target=obey, args=(bus,), daemon=True).start()
+        return exit_code(f"ros2 {folder}/hand.toml --allow-tare --namespace left --seconds 300")
+
+
+def read_hand(folder: str) -> None:
+    """Print one JSON record of what rosless reads of run_hand."""
     rosless.register_path(str(shipped_folder("ros2") / "tipforce_msgs"))
-    hand = [sys.executable, str(Path(__file__).with_name("loopback_hand.py")), folder]
+    hand = [sys.executable, __file__, folder, "hand"]
     with subprocess.Popen(hand, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             found = _watch(process)
@@ -185,4 +204,6 @@ def _say(process: subprocess.Popen[str], line: str) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    if sys.argv[2:]:
+        sys.exit(run_hand(Path(sys.argv[1])))
+    read_hand(sys.argv[1])
