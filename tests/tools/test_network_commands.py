@@ -2,6 +2,7 @@
 
 import json
 import re
+import struct
 import threading
 import tomllib
 from collections.abc import Iterator
@@ -220,6 +221,22 @@ def test_saved_as_dcf_and_to_stdout(tipforce: Tipforce, tmp_path: Path, name: st
     else:
         assert tipforce(f"config verify 5 {target} -q") == (0, "", "")
         assert tipforce(f"config verify 6 {target} -q")[0] == 1
+
+
+@pytest.mark.parametrize("name", ["finger.dcf", "finger.toml"])
+def test_the_gauges_are_of_the_node(tipforce: Tipforce, bench: tuple[Bus, str], tmp_path: Path, name: str) -> None:
+    """Channel 14 exists with eight gauges alone, and the default span of channel 5 is that of a gauge."""
+    source, target = SimulatedSource([[1e-4 * (k % 3 == i) for i in range(3)] for k in range(8)]), tmp_path / name
+    with running([fingertip_node(9, source, n=8)], bench[1]):
+        bench[0].wait_for({0x709})
+        assert tipforce("config show 9 -q") == (0, "", "")
+        bench[0].sdo(9).download(0x6149, 14, struct.pack("<f", 170.0))
+        assert tipforce(f"config save 9 {target} -q")[0] == 0
+        assert tipforce(f"config diff 9 {target} -q") == (0, "", "")
+        assert tipforce(f"config verify 9 {target} -q") == (0, "", "")
+        assert tipforce(f"config apply 9 {target} -q") == (0, "", "")
+        assert "--gauges 3: node 9 (0x09) has 8" in tipforce("config show 9 --gauges 3", code=2).err
+        assert "170.0" in target.read_text()
 
 
 def test_another_device_is_compared_with_nothing(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
