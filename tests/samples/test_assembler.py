@@ -96,3 +96,12 @@ def test_faults_are_held_until_they_end() -> None:
     for frame, overload in zip(emcy, (True, False), strict=True):
         (contact,) = assembler.feed(frame_array([frame, (9, 0x281, data)])).contacts()
         assert (Status.OVERLOAD in contact.status) == overload
+
+
+@pytest.mark.parametrize("base", [0x280, 0x380])
+@pytest.mark.parametrize(("raw", "overload"), [(32766, False), (32767, True)])
+def test_a_force_at_the_end_of_integer16_may_be_larger(base: int, raw: int, overload: bool) -> None:
+    name = "Contact" if base == 0x280 else "Force"
+    frames = frame_array([(1, base + 1, struct.pack("<hhhBB", raw, 0, 0, 3, 1))])
+    (contact,) = Assembler(PDOS, (name,)).feed(frames).contacts()
+    assert (contact.reason == "overload") == overload

@@ -51,8 +51,9 @@ class Bus:
         for name in self.messages:
             for k in range(1, self.fingers + 1):
                 counter = self.number if not self.happens() else pick.randrange(256)
+                force = pick.choice((32767, *[pick.randint(-999, 999)] * 3))
                 status = pick.choice((3, 3, 0x83, 0x61)) | 8 * self.happens()
-                data = struct.pack("<hhhBB", pick.randint(-999, 999), 4500, -0x8000, status, counter)
+                data = struct.pack("<hhhBB", force, 4500, -0x8000, status, counter)
                 data = data[: 8 if not self.happens() else pick.randrange(8)]
                 copies = [(self.t_ns + 1000 * k, BASES[name] + k, data)] * (1 - self.happens() + self.happens())
                 (self.late if self.happens() else answers).extend(copies)

@@ -3,6 +3,7 @@ in-process bus."""
 
 import io
 import re
+import struct
 import sys
 import threading
 import tomllib
@@ -19,9 +20,11 @@ from device.tiny import service_dictionary
 from host.bus_with_nodes import apply_load, beam_calibration, connected, finger, new_channel, running
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.names import entries
+from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.configuration.device_objects import FingertipObjects
 from tipforce.host.network.bus import Bus
+from tipforce.sources.simulated import SimulatedSource
 from tools.rig import Printed, exit_code
 
 ROOT = Path(__file__).parents[2]
@@ -311,6 +314,21 @@ def test_saved_as_dcf_and_to_stdout(on_bus: Printed, tmp_path: Path) -> None:
     on_bus(0, f"config save 5 {dcf} -q")
     assert on_bus(0, f"config verify 5 {dcf} -q") == ("", "")
     on_bus(1, f"config verify 6 {dcf} -q")
+
+
+@pytest.mark.parametrize("name", ["finger.dcf", "finger.toml"])
+def test_the_gauges_are_of_the_node(on_bus: Printed, bench: tuple[Bus, str], tmp_path: Path, name: str) -> None:
+    """Channel 14 exists with eight gauges alone, and the default span of channel 5 is that of a gauge."""
+    source, target = SimulatedSource([[1e-4 * (k % 3 == i) for i in range(3)] for k in range(8)]), tmp_path / name
+    with running([fingertip_node(9, source, n=8)], bench[1]):
+        bench[0].wait_for({0x709})
+        assert on_bus(0, "config show 9 -q") == ("", "")
+        bench[0].sdo(9).download(0x6149, 14, struct.pack("<f", 170.0))
+        on_bus(0, f"config save 9 {target} -q")
+        for action in ("diff", "verify", "apply"):
+            assert on_bus(0, f"config {action} 9 {target} -q") == ("", "")
+        assert "--gauges 3: node 9 (0x09) has 8" in on_bus(2, "config show 9 --gauges 3").err
+        assert "170.0" in target.read_text()
 
 
 def test_another_device_is_compared_with_nothing(on_bus: Printed, bench: tuple[Bus, str]) -> None:

@@ -111,6 +111,7 @@ def test_what_the_calibration_says_of_a_sample_comes_from_tpdo4_and_emcy() -> No
     found = node(fed([contradiction, health, (2, *contact_pdo(5, NAN, NAN, NAN, CALIBRATED | 0x04))]))
     assert found.readings["P"].reason == "overload"
     assert found.status == ("calibrated", "saturated", "beyond_calibrated", "overload")
+    assert node(fed([(0, *contact_pdo(5, 32.767, 0.0, 0.0, CALIBRATED))])).status == ("calibrated", "overload")
 
 
 def test_a_known_value_needs_no_reason() -> None:

@@ -109,6 +109,8 @@ _OF_ESTIMATE = {bit: name for name, bit in COMPUTED.items()} | {
 }
 _INSTEAD = {scalar.FRONT_END_FAULT: CONTRADICTION, scalar.SATURATED: OVERLOAD}
 """The bit of 2124h that says more than one of the status byte."""
+LARGEST_NEWTONS = 32.767
+"""The end of INTEGER16: a force that reads it may be any larger one, which a node shows in 6150h alone."""
 _OF_ANGLES = scalar.MISSES_TIP | scalar.THETA_UNRESOLVED | scalar.OUTSIDE_PAD | BEYOND_FIRST_ORDER
 
 
@@ -196,11 +198,13 @@ def not_seen(node_ids: Iterable[int]) -> str:
 
 
 def status_of(columns: Mapping[str, npt.NDArray[Any]], shape: tuple[int, ...]) -> npt.NDArray[np.uint16]:
-    """Bits of ``Status`` from the columns of flags, sent or computed; ``shape`` is that of each column."""
+    """Bits of ``Status`` from the columns of flags, sent or computed, and of forces; ``shape`` is that of each."""
     import numpy  # what only shows reasons loads none
 
     status = numpy.zeros(shape, dtype=numpy.uint16)
     for name, bit in BITS.items():
         if name in columns:
             status |= (columns[name] == 1).astype(numpy.uint16) * numpy.uint16(bit)
+    for name in columns.keys() & {"P"} or columns.keys() & {"F1", "F2", "F3"}:
+        status |= (abs(columns[name]) == LARGEST_NEWTONS).astype(numpy.uint16) * numpy.uint16(OVERLOAD)
     return status

@@ -20,7 +20,7 @@ from tipforce.host.decoding.sample_table import Layout, divisor_of
 from tipforce.samples import reasons
 from tipforce.samples.columns import Block, contact_values, sent_values, uncertainties
 from tipforce.samples.contact import Contact, Fields
-from tipforce.samples.reasons import PRESENT, Status, status_of
+from tipforce.samples.reasons import OVERLOAD, PRESENT, Status, status_of
 
 Column = npt.NDArray[Any]
 _UNKNOWN = (math.nan,) * 6
@@ -329,7 +329,9 @@ class RowContacts:
             "u_P_newtons": lambda row, place: self._uncertainties(row, place)[0],
             "u_phi_deg": lambda row, place: self._uncertainties(row, place)[1],
             "u_theta_deg": lambda row, place: self._uncertainties(row, place)[2],
-            "status": lambda row, place: Status(row[2][status + place] >> shift & 0xFF),
+            "status": lambda row, place: Status(
+                row[2][status + place] >> shift & 0xFF | (P_newtons(row, place) == reasons.LARGEST_NEWTONS and OVERLOAD)
+            ),
             "microstrain": lambda row, place: tuple(gauge(row, place) for gauge in gauges),
             "name": lambda _row, place: self._names[place],
             "missing": lambda _row, _place: "",

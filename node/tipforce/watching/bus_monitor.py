@@ -212,6 +212,8 @@ class BusMonitor:
         if node_id in self._health.nodes:
             faults, _ = self._health.now(node_id)
             flags |= {f"fault_{name}": bool(faults >> bit & 1) for bit, name, _ in FAULT_BITS}
+        if node.values.get("P", (0.0,))[0] == reasons.LARGEST_NEWTONS:
+            flags["fault_overload"] = True
         given = {"calibrated": True, "contact": True} | flags
         bits = sum(bit for name, bit in reasons.BITS.items() if given.get(name) == 1)
         names = tuple(node.values) if node_id in self._described else QUANTITIES

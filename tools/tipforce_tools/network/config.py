@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from canopen_device import types
 from canopen_device.core import codes, communication
 from canopen_device.types import Value
+from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry
 from tipforce.errors import InputError, SdoAbortError
 from tipforce.host.configuration.device_objects import DeviceObjects, EdsObjects, FingertipObjects
@@ -47,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", nargs="?", default="", metavar="FILE", help="*.dcf, or TOML; save: - is stdout")
     parser.add_argument("--store", action="store_true", help="apply: store all parameters on the node afterwards")
     parser.add_argument("--all", action="store_true", help="show, save: include settings at their default")
-    parser.add_argument("--gauges", type=int, default=3, metavar="N", help="of the node (default 3)")
+    parser.add_argument("--gauges", type=int, metavar="N", help="of the node (default: read from the node)")
     parser.add_argument("--eds", metavar="FILE", help="EDS, DCF or XDD of a node of any manufacturer (default: 1021h)")
     bus_flags.add_bus_arguments(parser, sdo=True, confirm=True)
 
@@ -67,9 +68,9 @@ def run(args: argparse.Namespace) -> int:
 def _opened(args: argparse.Namespace) -> Iterator[tuple[Finger, DeviceObjects, Configuration]]:
     from tipforce.host.configuration.configuration_file import read_configuration
 
-    wanted, error = {}, None
+    error = None
     try:
-        wanted = read_configuration(args.file, args.node, args.gauges)
+        read_configuration(args.file, args.node, args.gauges or table.MIN_GAUGES)
     except InputError as reason:
         error = reason  # it may be a file of another device
     if args.action == "apply" and args.store:
@@ -77,11 +78,7 @@ def _opened(args: argparse.Namespace) -> Iterator[tuple[Finger, DeviceObjects, C
     with connection_or(args, error) as connection:
         finger = connection.finger(args.node)
         objects = _objects(finger.sdo, args.gauges, args.eds, error)
-        if not isinstance(objects, FingertipObjects):
-            wanted = read_configuration(args.file, args.node, args.gauges, objects)
-        elif error is not None:
-            raise error
-        yield finger, objects, wanted
+        yield finger, objects, read_configuration(args.file, args.node, objects=objects)
 
 
 def _diff(args: argparse.Namespace) -> int:
@@ -114,9 +111,11 @@ def _apply_or_verify(args: argparse.Namespace) -> int:
     return 1 if differences else 0
 
 
-def _objects(sdo: SdoChannel, gauges: int, eds: str | None, error: InputError | None = None) -> DeviceObjects:
-    if not eds and gauges_read(sdo, error):
-        return FingertipObjects(sdo.node_id, gauges)
+def _objects(sdo: SdoChannel, gauges: int | None, eds: str | None, error: InputError | None = None) -> DeviceObjects:
+    if not eds and (own := gauges_read(sdo, error)):
+        if gauges not in (None, own):
+            raise InputError(f"--gauges {gauges}: {common.shown_node(sdo.node_id)} has {own}")
+        return FingertipObjects(sdo.node_id, own)
     described = description(eds, sdo)
     if described is None:
         raise InputError(f"{common.shown_node(sdo.node_id)} is not a fingertip and stores no EDS; add --eds FILE")
@@ -131,7 +130,7 @@ def _show(args: argparse.Namespace) -> int:
         try:
             objects = _objects(sdo, args.gauges, args.eds)
         except InputError:
-            if args.eds:
+            if args.eds or args.gauges:
                 raise
             return _show_foreign(sdo)
         settings = _read(sdo, objects)
@@ -200,7 +199,7 @@ def _save(args: argparse.Namespace) -> int:
             text = dcf.dcf_text(objects.described, chosen)
         else:
             simulated = connection.finger(args.node).identity().simulated
-            text = fingertip_eds.dcf_text(args.gauges, args.node, chosen, simulated)
+            text = fingertip_eds.dcf_text(objects.gauges, args.node, chosen, simulated)
     if args.file == "-":
         print(text, end="")
         return 0

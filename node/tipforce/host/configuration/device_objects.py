@@ -27,14 +27,14 @@ class FingertipObjects:
     """The dictionary of a fingertip with so many gauges."""
 
     def __init__(self, node_id: int, gauges: int = 3) -> None:
-        self._node_id, self._gauges = node_id, gauges
+        self._node_id, self.gauges = node_id, gauges
 
     @cached_property
     def settings(self) -> Mapping[Place, Entry[Value]]:
         """The objects stored by 1010h:2 and 1010h:3, by (index, sub). The calibration is not among them. A default
         includes the node-id where the flag ``ADD_NODE_ID`` is set; a stem names the object of a list."""
         settings: dict[Place, Entry[Value]] = {}
-        for place, entry in names.entries(self._gauges, True).items():
+        for place, entry in names.entries(self.gauges, True).items():
             if entry.access == "rw" and not entry.flags & _NO_SETTING:
                 default = entry.default
                 if entry.flags & table.ADD_NODE_ID and isinstance(default, int):
@@ -44,11 +44,11 @@ class FingertipObjects:
 
     def resolve(self, text: str) -> Entry[Value]:
         """The entry that a person names, as ``dictionary.names``. Raises InputError."""
-        return names.resolve(text, self._gauges)
+        return names.resolve(text, self.gauges)
 
     def name(self, index: int, sub: int) -> str | None:
         """The dotted name, which ``resolve`` reads; None for an entry without one."""
-        entry = names.describe(index, sub, self._gauges)
+        entry = names.describe(index, sub, self.gauges)
         return None if entry is None else entry.name
 
     def check(self, entry: Entry[Value], value: Value) -> None:
