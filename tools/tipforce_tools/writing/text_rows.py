@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.host.decoding.sample_table import NO_COUNTER, Column, Table, Values, is_missing
+from tipforce.host.decoding.sample_table import Column, Table, Values, is_missing
 from tipforce.host.decoding.services import BusEvent
 from tipforce.samples import reasons
 
@@ -160,7 +160,7 @@ def column_cells(column: Column, table: Table) -> tuple[Cells, npt.NDArray[np.bo
     if column == CHANNEL:
         return channel_names(table), nothing
     values = table.counter if column == COUNTER else table.values[column.name]
-    missing = values == NO_COUNTER if column == COUNTER else is_missing(column, values)
+    missing = is_missing(column, values)
     if column.kind == "real":
         return real_cells(values, column.digits), missing
     if column.kind == "flag":
