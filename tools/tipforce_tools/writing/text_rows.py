@@ -207,12 +207,11 @@ def json_rows(table: Table, base: Sequence[Column]) -> bytes:
 
 
 def _json_cells(column: Column, table: Table) -> Cells:
-    cells, missing = column_cells(column, table)
     if column.kind == "flag":
-        cells = chosen(table.values[column.name] == 1, b"true", b"false")
-    elif column.kind == "real":
-        missing = ~np.isfinite(table.values[column.name])
-    return instead(cells, missing, b"null")
+        values = table.values[column.name]
+        return instead(chosen(values == 1, b"true", b"false"), is_missing(column, values), b"null")
+    cells, missing = column_cells(column, table)
+    return instead(cells, ~np.isfinite(table.values[column.name]) if column.kind == "real" else missing, b"null")
 
 
 def people_rows(table: Table, base: Sequence[Column]) -> bytes:
