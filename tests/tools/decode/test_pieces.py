@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from tipforce.host.decoding import recording
 from tipforce.host.decoding.log_part import Piece, Reading, Source
 from tipforce.host.decoding.pdo_layout import Layouts
-from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.lines import line_borders
 from tipforce.host.logs.notes import LogNotes
 from tipforce_tools.cli.main import main
@@ -165,12 +164,8 @@ def _read(log: Path, ranges: list[tuple[int, int | None]]) -> tuple[list[tuple[o
     for start, end in ranges:
         source = Source(Piece(str(log), start, end), Reading(Layouts()))
         for block in source:
-            found += _rows(block, source.channels)
+            found += [(source.channels[row["channel"]], *row.tolist()[:3], row["data"].tobytes()) for row in block]
         notes.append(source.copy())
     for more in notes[1:]:
         notes[0].append(more)
     return found, notes[0]
-
-
-def _rows(block: FrameArray, channels: list[str]) -> list[tuple[object, ...]]:
-    return [(channels[row["channel"]], *row.tolist()[:3], row["data"].tobytes()) for row in block]

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tipforce.host.decoding.sample_table import NO_COUNTER, Column, Table, is_missing
+from tipforce.host.decoding.sample_table import Column, Table, is_missing
 from tipforce_tools.writing.text_rows import BASE, CHANNEL, COUNTER, EVENT_COLUMNS, NODE, TIME, event_rows
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def _array(column: Column, table: Table, kind: Any) -> Any:
         indices = _as_array(table.channel, pa.int32())
         return pa.DictionaryArray.from_arrays(indices, pa.array(table.channels)).cast(kind)
     values = table.counter if column == COUNTER else table.values[column.name]
-    missing = values == NO_COUNTER if column == COUNTER else is_missing(column, values)
+    missing = is_missing(column, values)
     mask = missing if missing.any() else None
     if column.kind == "flag":
         present = None if mask is None else _bits(~mask)

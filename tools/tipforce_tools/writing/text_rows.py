@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.host.decoding.sample_table import NO_COUNTER, Column, Table, Values, is_missing
+from tipforce.host.decoding.sample_table import Column, Table, Values, is_missing
 from tipforce.host.decoding.services import BusEvent
 from tipforce.samples import reasons
 
@@ -160,7 +160,7 @@ def column_cells(column: Column, table: Table) -> tuple[Cells, npt.NDArray[np.bo
     if column == CHANNEL:
         return channel_names(table), nothing
     values = table.counter if column == COUNTER else table.values[column.name]
-    missing = values == NO_COUNTER if column == COUNTER else is_missing(column, values)
+    missing = is_missing(column, values)
     if column.kind == "real":
         return real_cells(values, column.digits), missing
     if column.kind == "flag":
@@ -207,12 +207,11 @@ def json_rows(table: Table, base: Sequence[Column]) -> bytes:
 
 
 def _json_cells(column: Column, table: Table) -> Cells:
-    cells, missing = column_cells(column, table)
     if column.kind == "flag":
-        cells = chosen(table.values[column.name] == 1, b"true", b"false")
-    elif column.kind == "real":
-        missing = ~np.isfinite(table.values[column.name])
-    return instead(cells, missing, b"null")
+        values = table.values[column.name]
+        return instead(chosen(values == 1, b"true", b"false"), is_missing(column, values), b"null")
+    cells, missing = column_cells(column, table)
+    return instead(cells, ~np.isfinite(table.values[column.name]) if column.kind == "real" else missing, b"null")
 
 
 def people_rows(table: Table, base: Sequence[Column]) -> bytes:

@@ -19,7 +19,7 @@ Values = npt.NDArray[Any]  # (k,): float64 (measurement), bool (flag) or an inte
 NO_COUNTER = -1
 NO_FLAG = -1
 NO_INTEGER = np.iinfo(np.int64).min
-_MISSING = {"flag": np.int8(NO_FLAG), "integer": np.int64(NO_INTEGER), "real": np.float64(math.nan)}
+_MISSING = {"flag": np.int8(NO_FLAG), "integer": np.int64(NO_INTEGER), "counter": np.int64(NO_COUNTER), "real": np.nan}
 NODE_BITS = 7
 """A key is channel << NODE_BITS | node-id: it separates nodes of two buses."""
 
