@@ -132,7 +132,7 @@ ESTIMATE -o readings.csv | decode run.log -o run.log --format csv | ESTIMATE -o 
 ESTIMATE -o cal.toml | FIT -o data.csv => is also an input
 calibrate budget cal.toml --phi 10 => one load needs both
 design sweep h2 --layout layout.toml => layout
-export eds --gauges 2 => allowed 3 to 8
+export eds --gauges 2 | export eds --gauges 99999999999999999999 => allowed 3 to 8
 report -o run.log | export c -o run.log => is a file; name a directory
 view run.log --from 100 => no sample between --from and --to; the log lasts 0.049 s
 view run.log --from nan => %: '@': allowed is 0 to 1e+09 s
@@ -286,7 +286,7 @@ OPTIMISE --noise nan | OPTIMISE --noise -1 => %: '@': allowed is 0 or more
 calibrate budget --gravity nan => %: '@'
 calibrate budget --phi 1e9 --theta 0 => --phi: '1e9': allowed are degrees from -360 to 360
 conformance --node-id 5 --case nosuch => matches no case
-conformance --node-id 5 --tolerance -1 => --tolerance -1
+conformance --node-id 5 --tolerance -1 | conformance --node-id 5 --tolerance 99999999999999999999 => % @: allowed are
 scan -i socketcan -c nowhere9 => check -i and -c
 monitor folder.toml => @: is a directory; name a log in it
 read X => required: IDS

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from canopen_conformance.case import Case, LostDeviceError, all_cases, by_clause, matching
 from canopen_conformance.dut import Dut
 from canopen_conformance.run import listing, run_and_print
-from canopen_conformance.wire import DEFAULT_TOLERANCE_MS, BusLink
+from canopen_conformance.wire import DEFAULT_TOLERANCE_MS, MOST_TOLERANCE_MS, BusLink
 
 EPILOG = """\
 SYNC, NMT to all nodes and LSS reach every device on the bus. --persistent also stores parameters, restores defaults and
@@ -60,8 +60,8 @@ def main(words: Sequence[str] | None = None) -> int:
     if args.list:
         print(listing(cases))
         return 0
-    if args.tolerance < 0:
-        print(f"--tolerance {args.tolerance}: allowed is 0 or more", file=sys.stderr)
+    if not 0 <= args.tolerance <= MOST_TOLERANCE_MS:
+        print(f"--tolerance {args.tolerance}: allowed are 0 to {MOST_TOLERANCE_MS} ms", file=sys.stderr)
         return 2
     return _run(args, cases)
 

@@ -30,7 +30,7 @@ RESETS = [(RESET_NODE, "reset node"), (RESET_COMMUNICATION, "reset communication
 
 ANSWER_MS = 200  # timeout of a response
 QUIET_MS = 30  # waiting time for a forbidden frame
-DEFAULT_TOLERANCE_MS = 20  # of measured times on a bus
+DEFAULT_TOLERANCE_MS, MOST_TOLERANCE_MS = 20, 60_000  # of measured times on a bus
 _MOST_STEPS_AT_ONCE = 1000
 
 

@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
     from canopen_conformance.case import LostDeviceError, all_cases, by_clause, matching
     from canopen_conformance.dut import Dut
     from canopen_conformance.run import listing, run_and_print
-    from canopen_conformance.wire import BusLink
+    from canopen_conformance.wire import MOST_TOLERANCE_MS, BusLink
     from tipforce_tools import fingertip_cases
 
     cases = by_clause(matching(args.case, all_cases(fingertip_cases)))
@@ -39,8 +39,8 @@ def run(args: argparse.Namespace) -> int:
     if args.list:
         print(listing(cases))
         return 0
-    if args.tolerance < 0:
-        raise InputError(f"--tolerance {args.tolerance}: allowed is 0 or more")
+    if not 0 <= args.tolerance <= MOST_TOLERANCE_MS:
+        raise InputError(f"--tolerance {args.tolerance}: allowed are 0 to {MOST_TOLERANCE_MS} ms")
     node = common.shown_node(args.node_id)
     if args.persistent:
         bus_flags.confirm(args, f"{node}: stored parameters return to defaults, node-id and bit rate are written")

@@ -87,6 +87,8 @@ def _text(args: argparse.Namespace, converter: Converter) -> str:
         from tipforce_robots.mujoco.models import fingertip_mjcf
 
         return fingertip_mjcf(args.prefix, rigid=args.rigid, damping_ratio=args.damping_ratio)
+    if not args.eds:
+        objects(args.gauges)  # the error for a wrong number, before the PDOs of millions of gauges are made
     if args.format == "dbc":
         from tipforce.dictionary.dbc import dbc_text
 
