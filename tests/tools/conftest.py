@@ -9,6 +9,7 @@ import pytest
 
 from canopen_device.core.node import Device
 from canopen_device.running import loop
+from host.bus_with_nodes import new_channel
 from tools.hand_log import FAULTS, write_hand_log
 from tools.rig import Printed, Streams, exit_code
 
@@ -33,6 +34,12 @@ def any_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("can.util.CONFIG_FILES", [])
     monkeypatch.setattr("tipforce.host.network.interfaces.interfaces", dict)
     monkeypatch.setattr("tipforce_tools.cli.common._LINE_S", float("inf"))
+
+
+@pytest.fixture
+def channel() -> str:
+    """The name of a virtual bus that no other test uses."""
+    return new_channel()
 
 
 @pytest.fixture

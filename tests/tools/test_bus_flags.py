@@ -131,8 +131,7 @@ def _no_other_bus(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tipforce_tools.doctor.machine.multicast_checks", lambda: ())
 
 
-def test_a_bus_with_nodes_is_listened_to(printed: Printed) -> None:
-    channel = new_channel()
+def test_a_bus_with_nodes_is_listened_to(printed: Printed, channel: str) -> None:
     with connected(finger(5), channel=channel) as (connection, _):
         connection.sdo(5).write(od.HEARTBEAT_PRODUCER_MS, 20)
         connection.finger(5).apply_calibration(beam_calibration(), store=False)

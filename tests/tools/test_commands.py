@@ -17,7 +17,7 @@ from canopen_device import types
 from canopen_device.core.node import Device
 from canopen_device.running.store import FileStore
 from device.tiny import service_dictionary
-from host.bus_with_nodes import apply_load, beam_calibration, connected, finger, new_channel, running
+from host.bus_with_nodes import apply_load, beam_calibration, connected, finger, running
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.names import entries
 from tipforce.fingertip.node import fingertip_node
@@ -32,34 +32,31 @@ HINT = "node {0} (0x0{0}): not calibrated: tipforce calibrate guide --node {0}, 
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[tuple[Bus, str]]:
-    """Nodes 5 (with a store) and 6 (without), and the name of their bus."""
-    channel = new_channel()
+def bench(tmp_path: Path, channel: str) -> Iterator[Bus]:
+    """The bus of nodes 5 (with a store) and 6 (without)."""
     with connected(finger(5, store=tmp_path / "node.json"), finger(6), channel=channel) as (connection, _):
-        yield connection, channel
+        yield connection
 
 
 @pytest.fixture
-def unconfigured(tmp_path: Path) -> Iterator[tuple[Bus, str]]:
+def unconfigured(tmp_path: Path, channel: str) -> Iterator[Bus]:
     """Three nodes without a node-id, serials 7, 0x80000001 and 9, and node 20; they can store."""
     devices = [finger(255, store=tmp_path / f"{serial}.json", serial=serial) for serial in (7, 0x80000001, 9)]
-    channel = new_channel()
     with connected(finger(20), channel=channel) as (connection, _), running(devices, channel):
-        yield connection, channel
+        yield connection
 
 
 @pytest.fixture
-def on_bus(request: pytest.FixtureRequest, printed: Printed) -> Printed:
+def on_bus(request: pytest.FixtureRequest, channel: str, printed: Printed) -> Printed:
     """``printed`` on the bus of ``bench`` or ``unconfigured``."""
-    name = "unconfigured" if "unconfigured" in request.fixturenames else "bench"
-    _, channel = request.getfixturevalue(name)
+    request.getfixturevalue("unconfigured" if "unconfigured" in request.fixturenames else "bench")
     return lambda code, words: printed(code, f"{words} -i virtual -c {channel}")
 
 
 @pytest.fixture
-def quick_heartbeats(bench: tuple[Bus, str]) -> None:
+def quick_heartbeats(bench: Bus) -> None:
     for node_id in (5, 6):
-        bench[0].sdo(node_id).write(od.HEARTBEAT_PRODUCER_MS, 20)
+        bench.sdo(node_id).write(od.HEARTBEAT_PRODUCER_MS, 20)
 
 
 @pytest.mark.usefixtures("quick_heartbeats")
@@ -111,7 +108,7 @@ def test_sdo_write_then_read(on_bus: Printed, words: str, value: str, shown: str
     assert on_bus(0, f"sdo read 5 {words}").out == shown + "\n"
 
 
-def test_sdo_dump_is_all_that_can_be_read(on_bus: Printed, bench: tuple[Bus, str]) -> None:
+def test_sdo_dump_is_all_that_can_be_read(on_bus: Printed, bench: Bus) -> None:
     readable = {place: row for place, row in entries(3, True).items() if row.access != "wo" and row.index != 0x1021}
     ended = on_bus(0, "sdo dump 5 --json")
     records = {(int(r["index"], 16), r["sub"]): r for r in ended.records}
@@ -121,7 +118,7 @@ def test_sdo_dump_is_all_that_can_be_read(on_bus: Printed, bench: tuple[Bus, str
     for place, record in records.items():
         assert (record["node"], record["name"], record["unit"]) == (5, readable[place].name, readable[place].unit)
     assert records[0x1018, 4]["value"] == 1005
-    assert records[0x2140, 0]["value"] == types.format_value("D", bench[0].sdo(5).upload(0x2140, 0))
+    assert records[0x2140, 0]["value"] == types.format_value("D", bench.sdo(5).upload(0x2140, 0))
     lines = on_bus(0, "sdo dump 5 -q").out.splitlines()
     assert len(lines) == len(records)
     assert any(line.split() == ["0x1017:00", "heartbeat.producer_ms", "1000", "ms"] for line in lines)
@@ -142,16 +139,16 @@ def test_sdo_asks_before_something_persists(
 
 
 @pytest.mark.usefixtures("quick_heartbeats")
-def test_nmt_waits_for_each_heartbeat(on_bus: Printed, bench: tuple[Bus, str]) -> None:
+def test_nmt_waits_for_each_heartbeat(on_bus: Printed, bench: Bus) -> None:
     assert on_bus(0, "nmt start 5,6 --wait") == ("   5 (0x05)  operational\n   6 (0x06)  operational\n", "")
     assert on_bus(0, "nmt stop 0x06 --wait --json").records == [{"node_id": 6, "state": "stopped"}]
     assert on_bus(0, "nmt preop 6 --wait").out == "   6 (0x06)  pre-operational\n"
     for command in ("reset-node", "reset-comm"):
         assert on_bus(0, f"nmt {command} 6 --wait") == ("   6 (0x06)  boot-up\n", "")
-    assert bench[0].sdo(6).read(od.HEARTBEAT_PRODUCER_MS) == 1000
-    bench[0].buffer.clear()
+    assert bench.sdo(6).read(od.HEARTBEAT_PRODUCER_MS) == 1000
+    bench.buffer.clear()
     assert on_bus(0, "nmt start all") == ("", "")  # one frame
-    bench[0].wait_for({0x705, 0x706})
+    bench.wait_for({0x705, 0x706})
 
 
 @pytest.mark.usefixtures("quick_heartbeats")
@@ -162,9 +159,8 @@ def test_a_node_that_does_not_say_so_is_named(on_bus: Printed) -> None:
     assert on_bus(5, "nmt stop 5,9 --wait 0.2 --json").records == [{"node_id": 5, "state": "stopped"}]
 
 
-def test_nmt_start_is_repeated_until_the_node_has_booted(capsys: pytest.CaptureFixture[str]) -> None:
+def test_nmt_start_is_repeated_until_the_node_has_booted(capsys: pytest.CaptureFixture[str], channel: str) -> None:
     """The order in which a person pastes two lines does not matter."""
-    channel = new_channel()
     device = finger(7)
     codes: list[int] = []
     with Bus.open(channel, "virtual") as listener:
@@ -178,10 +174,9 @@ def test_nmt_start_is_repeated_until_the_node_has_booted(capsys: pytest.CaptureF
     assert capsys.readouterr().out == "   7 (0x07)  operational\n"
 
 
-def test_read_prints_the_contact_of_each_finger(on_bus: Printed, bench: tuple[Bus, str]) -> None:
-    connection = bench[0]
-    connection.finger(5).apply_calibration(beam_calibration(), store=False)
-    apply_load(connection, 5, 4.4, 90.0, 45.0)
+def test_read_prints_the_contact_of_each_finger(on_bus: Printed, bench: Bus) -> None:
+    bench.finger(5).apply_calibration(beam_calibration(), store=False)
+    apply_load(bench, 5, 4.4, 90.0, 45.0)
     out, err = on_bus(0, "read 5")
     assert err == ""
     assert re.fullmatch(
@@ -194,40 +189,38 @@ def test_read_prints_the_contact_of_each_finger(on_bus: Printed, bench: tuple[Bu
     assert first["counter"] != second["counter"]
 
 
-def test_lss_scan_finds_one_without_a_node_id(on_bus: Printed, unconfigured: tuple[Bus, str]) -> None:
+def test_lss_scan_finds_one_without_a_node_id(on_bus: Printed, unconfigured: Bus) -> None:
     ended = on_bus(0, "lss scan --lss-timeout 0.05 --json")
     assert ended.records == [{
         "vendor": 0, "product": 0x54500103, "revision": 0x00020000, "serial": 7, "node_id": None, "stored": False,
     }]  # fmt: skip
     assert "finds one at a time" in ended.err
-    assert unconfigured[0].sdo(20).read(od.IDENTITY_SERIAL) == 1020
+    assert unconfigured.sdo(20).read(od.IDENTITY_SERIAL) == 1020
 
 
-def test_lss_assign_numbers_all(on_bus: Printed, unconfigured: tuple[Bus, str], tmp_path: Path) -> None:
-    connection = unconfigured[0]
+def test_lss_assign_numbers_all(on_bus: Printed, unconfigured: Bus, tmp_path: Path) -> None:
     out = on_bus(0, "lss assign 1-3 --store --lss-timeout 0.05").out
     assert [line.split("serial ")[1] for line in out.splitlines()] == [
         "7: node-id 1 (0x01), stored", "9: node-id 2 (0x02), stored", "2147483649: node-id 3 (0x03), stored",
     ]  # fmt: skip
-    assert [connection.sdo(n).read(od.IDENTITY_SERIAL) for n in (1, 2, 3)] == [7, 9, 0x80000001]
+    assert [unconfigured.sdo(n).read(od.IDENTITY_SERIAL) for n in (1, 2, 3)] == [7, 9, 0x80000001]
     stored = FileStore(tmp_path / "9.json").load("lss")
     assert stored is not None
     assert stored.endswith(bytes((2, 0)))
 
 
-def test_lss_renumbers_a_configured_node(on_bus: Printed, bench: tuple[Bus, str]) -> None:
+def test_lss_renumbers_a_configured_node(on_bus: Printed, bench: Bus) -> None:
     out, err = on_bus(0, "lss assign 9 --serial 1005 --product 0x54500103")
     assert out.endswith("serial 1005: node-id 9 (0x09)\n")
     assert "node-id 5 (0x05) remains active" in err
     on_bus(0, "nmt reset-comm 5")
-    bench[0].wait_for({0x709})
-    assert bench[0].sdo(9).read(od.IDENTITY_SERIAL) == 1005
+    bench.wait_for({0x709})
+    assert bench.sdo(9).read(od.IDENTITY_SERIAL) == 1005
 
 
-def test_tare_shows_and_clears(on_bus: Printed, bench: tuple[Bus, str]) -> None:
-    connection = bench[0]
-    connection.finger(5).apply_calibration(beam_calibration(), store=False)
-    apply_load(connection, 5, 2.0, 0.0, 0.0)
+def test_tare_shows_and_clears(on_bus: Printed, bench: Bus) -> None:
+    bench.finger(5).apply_calibration(beam_calibration(), store=False)
+    apply_load(bench, 5, 2.0, 0.0, 0.0)
     (record,) = on_bus(0, "tare 5 --json").records
     assert record["F3_N"] == pytest.approx(2.0, abs=5e-3)
     assert record["node_id"] == 5
@@ -272,7 +265,7 @@ def test_a_new_node_shows_nothing(on_bus: Printed) -> None:
     assert all(record["value"] == pytest.approx(record["default"]) for record in records)
 
 
-def test_saved_from_one_applied_to_another(on_bus: Printed, bench: tuple[Bus, str], tmp_path: Path) -> None:
+def test_saved_from_one_applied_to_another(on_bus: Printed, bench: Bus, tmp_path: Path) -> None:
     path, saved = tmp_path / "wanted.toml", tmp_path / "saved.toml"
     path.write_text(FILE)
     out, err = on_bus(1, f"config verify 5 {path}")
@@ -293,14 +286,14 @@ def test_saved_from_one_applied_to_another(on_bus: Printed, bench: tuple[Bus, st
     assert different in on_bus(1, f"config verify 6 {saved} --json -q").records
     assert on_bus(0, f"config diff 5 {saved} -q") == ("", "")
     assert on_bus(0, f"config apply 6 {saved} -q") == ("", "")
-    assert bench[0].sdo(6).read(od.TPDO3_COB_ID) == 0x40000386
+    assert bench.sdo(6).read(od.TPDO3_COB_ID) == 0x40000386
     assert on_bus(0, f"config diff 6 {saved} -q") == ("", "")
 
 
-def test_diff_goes_both_ways(on_bus: Printed, bench: tuple[Bus, str], tmp_path: Path) -> None:
+def test_diff_goes_both_ways(on_bus: Printed, bench: Bus, tmp_path: Path) -> None:
     path = tmp_path / "wanted.toml"
     path.write_text('[objects]\n"heartbeat.producer_ms" = 300\n')
-    bench[0].sdo(5).write(od.SYNC_WINDOW_US, 700)
+    bench.sdo(5).write(od.SYNC_WINDOW_US, 700)
     assert on_bus(1, f"config diff 5 {path} -q").out == (
         "sync.window_us (0x1007:00): the node has 700, is not in the file\n"
         f"heartbeat.producer_ms (0x1017:00): the node has 1000, {path} has 300\n"
@@ -317,13 +310,13 @@ def test_saved_as_dcf_and_to_stdout(on_bus: Printed, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["finger.dcf", "finger.toml"])
-def test_the_gauges_are_of_the_node(on_bus: Printed, bench: tuple[Bus, str], tmp_path: Path, name: str) -> None:
+def test_the_gauges_are_of_the_node(on_bus: Printed, bench: Bus, channel: str, tmp_path: Path, name: str) -> None:
     """Channel 14 exists with eight gauges alone, and the default span of channel 5 is that of a gauge."""
     source, target = SimulatedSource([[1e-4 * (k % 3 == i) for i in range(3)] for k in range(8)]), tmp_path / name
-    with running([fingertip_node(9, source, n=8)], bench[1]):
-        bench[0].wait_for({0x709})
+    with running([fingertip_node(9, source, n=8)], channel):
+        bench.wait_for({0x709})
         assert on_bus(0, "config show 9 -q") == ("", "")
-        bench[0].sdo(9).download(0x6149, 14, struct.pack("<f", 170.0))
+        bench.sdo(9).download(0x6149, 14, struct.pack("<f", 170.0))
         on_bus(0, f"config save 9 {target} -q")
         for action in ("diff", "verify", "apply"):
             assert on_bus(0, f"config {action} 9 {target} -q") == ("", "")
@@ -331,11 +324,11 @@ def test_the_gauges_are_of_the_node(on_bus: Printed, bench: tuple[Bus, str], tmp
         assert "170.0" in target.read_text()
 
 
-def test_another_device_is_compared_with_nothing(on_bus: Printed, bench: tuple[Bus, str]) -> None:
+def test_another_device_is_compared_with_nothing(on_bus: Printed, bench: Bus, channel: str) -> None:
     """Its objects have defaults of their own, and another meaning from 2000h on."""
     device = Device(service_dictionary(9))
-    with running([device], bench[1]):
-        bench[0].wait_for({0x709})
+    with running([device], channel):
+        bench.wait_for({0x709})
         out, err = on_bus(0, "config show 9")
         assert "0x1800:01  tpdo1.cob_id" in out
         assert "default" not in out
@@ -356,9 +349,9 @@ finger = [
 
 
 @pytest.fixture
-def hand(tmp_path: Path) -> Iterator[tuple[ExitStack, Path]]:
+def hand(tmp_path: Path, channel: str) -> Iterator[tuple[ExitStack, Path]]:
     """The power of finger 2, and the hand's file."""
-    channel, path = new_channel(), tmp_path / "hand.toml"
+    path = tmp_path / "hand.toml"
     write_calibration(tmp_path / "cal.toml", beam_calibration())
     path.write_text(HAND.format(channel=channel))
     with running([finger(1, serial=1)], channel), ExitStack() as power:

@@ -16,7 +16,6 @@ from pathlib import Path
 import can
 import pytest
 
-from host.bus_with_nodes import new_channel
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.live import receive
 from tipforce.host.live.receiver import Selection
@@ -224,14 +223,13 @@ def test_silence_ends_it() -> None:
         ("-n 1 BUS,0~0,#4", {"  BUS  20000004   [8]  00 00 00 00 00 00 00 00   ERRORFRAME\n"}),
     ],
 )
-def test_a_bus_of_python_can(words: str, shown: set[str], printed: Printed) -> None:
+def test_a_bus_of_python_can(words: str, shown: set[str], printed: Printed, channel: str) -> None:
     sent = [
         message(0x285, CONTACT),
         can.Message(arbitration_id=0x181, is_remote_frame=True, dlc=4, is_extended_id=False),
         message(0x123, bytes(12), is_fd=True),
         message(0x4, bytes(8), is_error_frame=True),
     ]
-    channel = new_channel()
     with sending(channel, lambda _number: sent):
         out = printed(0, f"dump -i virtual {words.replace('BUS', channel)}").out
     lines = out.replace(channel, "BUS").splitlines(keepends=True)

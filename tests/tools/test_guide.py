@@ -14,7 +14,7 @@ import pytest
 
 from canopen_device.core.node import Device
 from canopen_device.running.store import FileStore
-from host.bus_with_nodes import apply_load, connected, new_channel
+from host.bus_with_nodes import apply_load, connected
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.source import Reading, Source
@@ -96,11 +96,12 @@ class Person:
 
 
 @pytest.fixture
-def bench(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+def bench(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, channel: str
+) -> Iterator[Bench]:
     source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist(), 0.5, OFFSETS, seed=4)
     store = FileStore(tmp_path / "node.json")
     device = fingertip_node(5, source, serial=1005, save=store.save, load=store.load)
-    channel = new_channel()
     with connected(device, channel=channel) as (connection, _):
         yield Bench(connection, channel, device, source, tmp_path, capsys, monkeypatch)
 
@@ -186,12 +187,11 @@ def test_by_itself(bench: Bench) -> None:
     assert "generation 2" in again.out
 
 
-def test_more_gauges_than_three(tmp_path: Path, printed: Printed) -> None:
+def test_more_gauges_than_three(tmp_path: Path, printed: Printed, channel: str) -> None:
     """The record's C must be the best one for the record's covariance: a node gets A back from the two."""
     A = strain_matrix(FABRICATED, ("K_H", "S_H", "U", "L", "R"))
     store = FileStore(tmp_path / "node.json")
     device = fingertip_node(5, SimulatedSource(A.tolist(), 0.5, seed=3), 5, save=store.save, load=store.load)
-    channel = new_channel()
     with connected(device, channel=channel) as (connection, _):
         words = ["calibrate", "guide", "--node", 5, "--auto", *FEW, *QUICK, "--session", tmp_path / "s.csv"]
         assert "by SYNC and SDO reads" in printed(0, [*words, "-i", "virtual", "-c", channel]).err
@@ -338,8 +338,7 @@ class RealGauges(Source):
         return Reading((1, 2, now_us % 7), 0, 2300)
 
 
-def test_no_auto_with_real_gauges(printed: Printed, tmp_path: Path) -> None:
-    channel = new_channel()
+def test_no_auto_with_real_gauges(printed: Printed, tmp_path: Path, channel: str) -> None:
     with connected(fingertip_node(5, RealGauges()), channel=channel):
         err = printed(2, f"calibrate guide --node 5 --auto --session {tmp_path}/s.csv -i virtual -c {channel}").err
     assert "node 5 (0x05) has real gauges: --auto needs a simulated node" in err

@@ -12,7 +12,6 @@ import can
 import pytest
 
 from canopen_device.core.node import Device
-from host.bus_with_nodes import new_channel
 from sources.iio_tree import Tree
 from tipforce.dictionary.eds import eds_text
 from tipforce.fingertip.source import Source
@@ -22,8 +21,7 @@ from tipforce_tools.doctor.machine import iio_checks
 from tools.rig import run_node, source_of
 
 
-def test_defaults(devices: list[Device], capsys: pytest.CaptureFixture[str]) -> None:
-    channel = new_channel()
+def test_defaults(devices: list[Device], capsys: pytest.CaptureFixture[str], channel: str) -> None:
     with can.Bus(channel, interface="virtual") as bus:
         assert run_node(channel=channel) == 0
         last = bus.recv(0)

@@ -16,7 +16,7 @@ from canopen_device.core.node import Device
 from canopen_device.eds import read_eds
 from canopen_device.eds.load import device_of
 from eds.samples import INFO, MANDATORY, record, var
-from host.bus_with_nodes import connected, finger, new_channel
+from host.bus_with_nodes import connected, finger
 from host.logs.test_pcap import block, socketcan
 from tipforce.errors import InputError, WriteError
 from tipforce.host.configuration.calibration import write_calibration
@@ -94,7 +94,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(("command", "name", "old"), WRITES, ids=[f"{c.split()[0]}-{n}" for c, n, _ in WRITES])
 def test_a_failed_write_leaves_the_old_file(
     command: str, name: str, old: bytes, inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    printed: Printed,
+    printed: Printed, channel: str,
 ) -> None:  # fmt: skip
     for path in inputs.iterdir():
         (tmp_path / path.name).symlink_to(path)
@@ -102,7 +102,6 @@ def test_a_failed_write_leaves_the_old_file(
     (tmp_path / name).write_bytes(old)
     monkeypatch.chdir(tmp_path)
     before = files(tmp_path)
-    channel = new_channel()
     with connected(finger(5), channel=channel), full_disk():
         err = printed(1, command.format(bus=f"-i virtual -c {channel}")).err
     assert files(tmp_path) == before, err
@@ -296,10 +295,9 @@ SELECT = "select *, chr(27) || chr(10) || 'INJECTED' as x from samples limit 2"
 
 @pytest.mark.parametrize("line", LINES)
 def test_output_has_no_control_characters(
-    line: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    line: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], channel: str
 ) -> None:
     monkeypatch.chdir(folder)
-    channel = new_channel()
     words = {"BUS": channel, "SELECT": SELECT}
     with connected(*(hostile_devices(folder) if "BUS" in line else ()), channel=channel):
         exit_code([words.get(w, w).replace("NAME", NAME).replace("HOSTILE", HOSTILE) for w in line.split()])

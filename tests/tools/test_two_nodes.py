@@ -67,8 +67,7 @@ def test_a_command_that_speaks_to_the_node_says_it(
         assert ended.records[0]["duplicate"].startswith(SAID)
 
 
-def test_the_remedy_that_is_named_helps(tmp_path: Path, printed: Printed) -> None:
-    channel = new_channel()
+def test_the_remedy_that_is_named_helps(tmp_path: Path, printed: Printed, channel: str) -> None:
     bus = f"-i virtual -c {channel}"
     with connected(node(1005, tmp_path), node(1006, tmp_path), channel=channel):
         for command in re.findall(r"`tipforce ([^`]+)`", printed(1, f"scan --wait 0.2 {bus}").err):
@@ -143,8 +142,7 @@ def test_monitor_sees_the_samples_of_two_nodes() -> None:
 
 
 @pytest.mark.parametrize("passive", [False, True])
-def test_a_second_node_that_comes_while_samples_are_read_ends_them(passive: bool) -> None:
-    channel = new_channel()
+def test_a_second_node_that_comes_while_samples_are_read_ends_them(passive: bool, channel: str) -> None:
     with connected(node(1005), channel=channel) as (connection, _):
         connection.nmt("start", 5)
         assert next(connection.finger(5).samples()).node_id == 5
@@ -164,8 +162,7 @@ def test_a_second_node_that_comes_while_samples_are_read_ends_them(passive: bool
                 read()
 
 
-def test_a_hand_shows_no_value_of_two_nodes_and_goes_on_when_one_has_gone() -> None:
-    channel = new_channel()
+def test_a_hand_shows_no_value_of_two_nodes_and_goes_on_when_one_has_gone(channel: str) -> None:
     seen: list[tuple[str, str]] = []
     plan = HandPlan(sync_hz=50.0, heartbeat_ms=100)
     with connected(node(1005), channel=channel) as (connection, _), Hand.open([5], bus=connection, plan=plan) as hand:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from host.bus_with_nodes import connected, finger, new_channel
+from host.bus_with_nodes import connected, finger
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.scene import beam_calibration
 from tipforce.sensor.calibration.simulation import simulate
@@ -391,13 +391,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(("command", "code", "text"), WRONG, ids=[command for command, _, _ in WRONG])
 def test_one_line_the_next_step_and_the_exit_code(
-    command: str, code: int, text: str, folder: Path, monkeypatch: pytest.MonkeyPatch, printed: Printed
+    command: str, code: int, text: str, folder: Path, monkeypatch: pytest.MonkeyPatch, printed: Printed, channel: str
 ) -> None:
     monkeypatch.chdir(folder)
     monkeypatch.setenv("HOME", str(folder / "taken"))
     monkeypatch.setattr("tipforce_tools.decode.workers.CONNECT_S", 1)
     before = files(folder)
-    channel = new_channel()
     with connected(*([finger(5)] if command.endswith(" BUS") else ()), channel=channel):
         out, err = printed(code, command.replace(" BUS", f" -i virtual -c {channel}"))
     assert out == ""
