@@ -2,7 +2,13 @@
 
 A file lists the gauges, SG1 first, three to eight: points of Table 1, or places along the beams, or both::
 
-    points = ["U", { beam = "H", side = "left", position_mm = 1.08 }, { beam = "V", side = "right", position_mm = 9 }]
+    points = ["K_H", "S_H", "U"]
+
+::
+
+    points = [
+        { beam = "H", side = "left", position_mm = 1.08 }, { beam = "H", side = "right", position_mm = 1.08 }, "U",
+    ]
     gauge_length_mm = 1.0
 
 beam: "H", the horizontal one, or "V", the vertical one. side: on H the arm at negative ("left") or positive x

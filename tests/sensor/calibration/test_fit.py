@@ -9,25 +9,10 @@ from bench.calibration import CONDITIONS, SEEDS, compare, coverage, pooled
 from sensor.calibration.made import CLEAN, readings, simulated, some
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.sensor import (
-    FABRICATED,
-    Model,
-    beam_prior,
-    condition_number,
-    fit_calibration,
-    force_vector,
-    linear_fit,
-    strain_matrix,
-)
-from tipforce.sensor.calibration.result import (
-    DIGITS,
-    Fit,
-    covariance_of_estimate,
-    kronecker,
-    matrix_to_digits,
-    rounded,
-    to_digits,
-)
+from tipforce.sensor import FABRICATED, Fit, condition_number, covariance_of_estimate, force_vector, strain_matrix
+from tipforce.sensor.calibration.data import Model, beam_prior
+from tipforce.sensor.calibration.fit import fit_calibration, linear_fit
+from tipforce.sensor.calibration.result import DIGITS, kronecker, matrix_to_digits, rounded, to_digits
 from tipforce.sensor.calibration.simulation import Simulated, simulate
 from tipforce.sensor.structure.layouts import POINTS, layout
 

@@ -9,17 +9,10 @@ from bench.fault_detection import alike, separation
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
+from tipforce.sensor import detect, parity
 from tipforce.sensor.contact import scalar_redundancy
 from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.contact.redundancy import (
-    NONE,
-    UNCLEAR,
-    detect,
-    detectable_strain,
-    parity,
-    structure_matrix,
-    weighted_inverse,
-)
+from tipforce.sensor.contact.redundancy import NONE, UNCLEAR, detectable_strain, structure_matrix, weighted_inverse
 from tipforce.sensor.structure.layouts import POINTS
 from tipforce.sensor.structure.strain import FABRICATED, GaugePosition, position_matrix, strain_matrix
 

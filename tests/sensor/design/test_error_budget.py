@@ -12,17 +12,8 @@ from tipforce.errors import InputError
 from tipforce.sensor.contact.estimate import contacts, force_vector
 from tipforce.sensor.structure.off_axis import PlacedGauge, off_axis_wrenches, planar_part, wrench_strain_matrix
 from tipforce.sensor.structure.strain import FABRICATED, GaugePosition, position_matrix
-from tipforce_lab.design.error_budget import (
-    DEGREE,
-    Causes,
-    Loads,
-    Sensor,
-    budget,
-    elementary_errors,
-    gravity_residual,
-    groove_loads,
-    pad_loads,
-)
+from tipforce_lab.design import error_budget
+from tipforce_lab.design.error_budget import DEGREE, Causes, Loads, Sensor, budget, elementary_errors
 
 Draw = Callable[[np.random.Generator], FloatArray]
 
@@ -34,7 +25,7 @@ COVARIANCE = 1e-12 * np.array([[1.0, 0.5, 0.0], [0.5, 2.0, 0.0], [0.0, 0.0, 0.5]
 SENSOR = Sensor(C, A, COVARIANCE, False, True, FABRICATED, POSITIONS)
 LOADS = Loads(np.full(3, 2.0), np.radians([200.0, 262.0, 310.0]), np.radians([50.0, 90.0, 110.0]))
 CAUSES = Causes()
-HUNG = groove_loads()
+HUNG = error_budget.groove_loads()
 EVERY_LOAD = np.meshgrid(np.linspace(0.0, 2.0 * pi, 181), np.linspace(0.0, 2.0 * pi, 181))
 LARGEST = np.abs(force_vector(1.0, *EVERY_LOAD).reshape(-1, 3) @ A.T).max(axis=0)  # gauge, load of 1 N
 
@@ -131,17 +122,19 @@ def test_each_cause_is_what_a_simulation_of_it_gives(cause: str, draw: Draw, dra
 
 def test_one_degree_of_gravity_costs_one_percent_and_one_degree_and_hardly_shows() -> None:
     causes = Causes(gravity_rad=DEGREE)
-    loads = pad_loads(4.4, 0.0, 180.0, pull=False)
+    loads = error_budget.pad_loads(4.4, 0.0, 180.0, pull=False)
     worst_P, worst_phi, worst_theta = budget(SENSOR, loads, causes).rows["gravity"].max(axis=0)
     assert worst_P / 4.4 == pytest.approx(0.0087, abs=0.0002)  # gamma / 2, at phi = 45 degrees
     assert worst_phi / DEGREE == pytest.approx(1.0, abs=0.01)
     assert worst_theta / DEGREE == pytest.approx(0.79, abs=0.02)
-    assert gravity_residual(DEGREE) == pytest.approx(0.0022, abs=0.0001)
+    assert error_budget.gravity_residual(DEGREE) == pytest.approx(0.0022, abs=0.0001)
     # The same from the fit itself.
     F = np.vstack([replace(HUNG, phi_rad=HUNG.phi_rad + DEGREE * (np.arange(19) >= 10)).F, np.zeros((19, 3))])
     G = np.column_stack([np.vstack([HUNG.F, np.zeros((19, 3))]), np.ones(38)])
     residual = (F - G @ np.linalg.lstsq(G, F, rcond=None)[0])[:19]
-    assert np.sqrt(np.mean(np.sum(residual**2, axis=1))) / 4.4 == pytest.approx(gravity_residual(DEGREE), rel=0.02)
+    assert np.sqrt(np.mean(np.sum(residual**2, axis=1))) / 4.4 == pytest.approx(
+        error_budget.gravity_residual(DEGREE), rel=0.02
+    )
 
 
 def test_total_is_the_sum_and_says_where_first_order_holds() -> None:
@@ -176,7 +169,7 @@ def test_zero_sizes_give_zero_and_noise_can_be_stated() -> None:
 
 def test_pad_loads_push_inwards_and_pull_outwards() -> None:
     for pull in (True, False):
-        loads = pad_loads(1.5, 0.0, 180.0, pull=pull)
+        loads = error_budget.pad_loads(1.5, 0.0, 180.0, pull=pull)
         assert loads.P_newtons.shape == (37 * 7,)
         error = np.remainder(contacts(loads.F, pull=pull).theta_rad - loads.theta_rad + pi, 2 * pi) - pi
         np.testing.assert_allclose(error, 0.0, atol=1e-12)

@@ -10,17 +10,9 @@ from bench import fem as studies
 
 from tipforce.errors import InputError
 from tipforce.sensor.structure.strain import GaugePosition
-from tipforce_lab.fem.mesh import GRADING, STATED, Outline, Resolution
-from tipforce_lab.fem.plane_stress import (
-    Model,
-    Solution,
-    corner_exponent,
-    extrapolate,
-    face,
-    nearest_place,
-    solve,
-    strain_matrix,
-)
+from tipforce_lab.fem import Model, Resolution, corner_exponent, solve, strain_matrix
+from tipforce_lab.fem.mesh import GRADING, STATED, Outline
+from tipforce_lab.fem.plane_stress import Solution, extrapolate, face, nearest_place
 from tipforce_lab.report.studies import structure
 from tipforce_lab.report.study import Effort, Study, Timing
 

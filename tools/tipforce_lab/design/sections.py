@@ -10,17 +10,9 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.sensor import Geometry, contacts, force_from_strain, force_vector, standard_uncertainties
+from tipforce.sensor import LAYOUTS, Geometry, contacts, force_from_strain, force_vector, layout, standard_uncertainties
 from tipforce.sensor.calibration.simulation import Grooves, paper_grooves
-from tipforce.sensor.structure.layouts import (
-    CALIBRATION_WEIGHT_NEWTONS,
-    CASES,
-    GAUGE_LENGTH_M,
-    LAYOUTS,
-    POINTS,
-    Layout,
-    layout,
-)
+from tipforce.sensor.structure.layouts import CALIBRATION_WEIGHT_NEWTONS, CASES, GAUGE_LENGTH_M, POINTS, Layout
 from tipforce.sensor.structure.off_axis import apparent_force, off_axis_wrenches, off_centre_wrenches
 from tipforce.sensor.structure.quality import shifted_matrix, thin_limit_matrix
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix

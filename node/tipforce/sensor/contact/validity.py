@@ -5,20 +5,11 @@ import numpy.typing as npt
 
 from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.errors import InputError
-from tipforce.sensor.contact import scalar
-from tipforce.sensor.contact.estimate import (
-    Contact,
-    Deviations,
-    Forces,
-    checked_covariances,
-    checked_forces,
-    contact_columns,
-    deviation_columns,
-)
+from tipforce.sensor.contact import estimate, scalar
 
 
 def status_columns(
-    contact: Contact,
+    contact: estimate.Contact,
     resolved: BoolArray,
     misses: BoolArray,
     limits: tuple[float, float, float, float],
@@ -81,14 +72,16 @@ def curvature(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> FloatArr
     - theta: u(x) / cos^2(delta), or that of phi if it is larger; infinite where the line of action misses.
 
     F1 = F3 = 0: all infinite. Numbers that are not finite: NaN. Raises InputError for other shapes."""
-    F = checked_forces(F_newtons)
-    u = deviation_columns(F, checked_covariances(covariance_F, F_newtons), 1.0)
-    ratios = np.stack(curvature_columns(F, contact_columns(F, 1.0).P_newtons, u), axis=-1)
+    F = estimate.checked_forces(F_newtons)
+    u = estimate.deviation_columns(F, estimate.checked_covariances(covariance_F, F_newtons), 1.0)
+    ratios = np.stack(curvature_columns(F, estimate.contact_columns(F, 1.0).P_newtons, u), axis=-1)
     directed = ((F.F1 != 0.0) | (F.F3 != 0.0))[..., np.newaxis]
     return np.where(np.isfinite(u.P)[..., np.newaxis], np.where(directed, ratios, np.inf), np.nan)
 
 
-def curvature_columns(F: Forces, P_newtons: FloatArray, u: Deviations) -> tuple[FloatArray, FloatArray, FloatArray]:
+def curvature_columns(
+    F: estimate.Forces, P_newtons: FloatArray, u: estimate.Deviations
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return curvature() of P, phi and theta, of contacts with F1 or F3."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         cosine = F.cosine / F.hypotenuse
