@@ -105,24 +105,29 @@ _NO_LOAD: Wrench = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
 _NO_TURN = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
 
 
-def _of_force(value: Callable[[Sample], float]) -> Callable[[Sample, int], float]:
-    """Return what makes a field in newtons of a sample: NaN where the force is unknown."""
-    return lambda sample, _: _NAN if sample.unknown_early() & scalar.UNKNOWN_FORCE else value(sample)
+_Row = tuple["Sample", str, int, float]  # of which a TwinSample is made: sample, name, node-id, time
 
 
-def _of_angle(bit: int, value_rad: Callable[[Sample], float]) -> Callable[[Sample, int], float]:
+def _of_force(value: Callable[[Sample], float]) -> Callable[[_Row, int], float]:
+    """Return what makes a field in newtons: NaN where the force is unknown."""
+    return lambda row, _: _NAN if row[0].unknown_early() & scalar.UNKNOWN_FORCE else value(row[0])
+
+
+def _of_angle(bit: int, value_rad: Callable[[Sample], float]) -> Callable[[_Row, int], float]:
     """Return what makes a field in degrees: NaN where the angle of this bit is unknown."""
-    return lambda sample, _: _NAN if sample.unknown() & bit else value_rad(sample) * scalar.DEGREES
+    return lambda row, _: _NAN if row[0].unknown() & bit else value_rad(row[0]) * scalar.DEGREES
 
 
-def _status(sample: Sample, _: int) -> Status:
+def _status(row: _Row, _: int) -> Status:
     """Return 2120h, and bits 12 to 15 of 2124h."""
-    bits = sample.status() | sample.faults & reasons.JUDGED
-    return Status(bits | (reasons.LEFT_OUT if sample.spared else 0))
+    bits = row[0].status() | row[0].faults & reasons.JUDGED
+    return Status(bits | (reasons.LEFT_OUT if row[0].spared else 0))
 
 
 _FIELDS: Fields = {
-    "counter": lambda sample, _: sample.counter,
+    "node_id": lambda row, _: row[2],
+    "t_s": lambda row, _: row[3],
+    "counter": lambda row, _: row[0].counter,
     "P_newtons": _of_force(lambda sample: sample.contact()[0]),
     "phi_deg": _of_angle(scalar.UNKNOWN_PHI, lambda sample: sample.contact()[1]),
     "theta_deg": _of_angle(scalar.UNKNOWN_THETA, lambda sample: sample.contact()[2]),
@@ -130,7 +135,9 @@ _FIELDS: Fields = {
     "u_phi_deg": _of_angle(scalar.UNKNOWN_PHI, lambda sample: sample.uncertainty()[1]),
     "u_theta_deg": _of_angle(scalar.UNKNOWN_THETA, lambda sample: sample.uncertainty()[2]),
     "status": _status,
-    "microstrain": lambda sample, _: tuple(sample.microstrains),
+    "microstrain": lambda row, _: tuple(row[0].microstrains),
+    "name": lambda row, _: row[1],
+    "missing": lambda _row, _: "",
 }
 
 
@@ -138,17 +145,21 @@ class TwinSample(Contact):
     """One sample of one fingertip, as its node has it, beside the true ``load``; fields are made when they are read.
     ``microstrain`` is what the node makes of the counts (6130h)."""
 
-    __slots__ = ("_sample", "load")
-    _sample: Sample
+    __slots__ = ("load",)
     load: Load
 
     def __init__(self, name: str, node_id: int, t_s: float, sample: Sample, load: Load) -> None:
-        own = {"name": name, "node_id": node_id, "t_s": t_s, "missing": "", "_sample": sample, "load": load}
-        for field, value in {**own, "_source": (_FIELDS, sample, 0)}.items():
-            object.__setattr__(self, field, value)  # the class is frozen
+        put = object.__setattr__  # of a frozen class
+        put(self, "_source", (_FIELDS, (sample, name, node_id, t_s), 0))
+        put(self, "load", load)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return TwinSample, (self.name, self.node_id, self.t_s, self._sample, self.load)
+
+    @property
+    def _sample(self) -> Sample:
+        sample: Sample = self._source[1][0]
+        return sample
 
     @property
     def counts(self) -> tuple[int, ...]:

@@ -146,7 +146,7 @@ class LogSource(Source):
 
     def _discover(self, start_s: float, end_s: float | None) -> int:
         """Find the fingers and the length of the log; return the rows of the part at most: SYNCs, or a node's PDOs."""
-        first, start, end, read = None, 0, np.iinfo(np.int64).max, 0
+        first, start, end = None, 0, np.iinfo(np.int64).max
         count = np.zeros(STANDARD_MASK + 1, dtype=np.int64)
         with open_log(self._path) as log:
             for frames in log:
@@ -155,7 +155,6 @@ class LogSource(Source):
                     first = int(t_ns[0])
                     start = first + round(start_s * 1e9) if start_s else start
                     end = first + round(end_s * 1e9) if end_s is not None else end
-                read += len(frames)
                 self._watcher.discover(frames)
                 self._seconds = (int(t_ns[-1]) - first) * 1e-9
                 counted = ids[(ids < len(count)) & (t_ns >= start) & (t_ns < end)]
@@ -163,7 +162,7 @@ class LogSource(Source):
             if not self._watcher.fingers:
                 if self._hidden:
                     raise InputError(f"{self._path}: no PDO of the chosen nodes")
-                raise no_sample(str(self._path), read, log.extended)
+                raise no_sample(log.source, log.frames, log.extended)
             if not log.timed:
                 raise InputError(f"{self._path}: the log has no timestamps, which a replay needs")
         self._limits = start, end

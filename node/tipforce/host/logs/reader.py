@@ -90,19 +90,13 @@ class LogReader(LogNotes):
 
     def _read_ahead(self, blocks: Iterator[CandumpBlock], notes: LogNotes) -> Iterator[CandumpBlock]:
         """Yield the blocks, which a thread reads ahead: the core parses without the interpreter's lock."""
-
-        def following() -> tuple[CandumpBlock | None, int, bool]:
-            return next(blocks, None), len(notes.channels), notes.timed
-
         self._thread = thread = ThreadPoolExecutor(1)
-        ready = deque(thread.submit(following) for _ in range(_BLOCKS_AHEAD))
+        ready = deque(thread.submit(next, blocks, None) for _ in range(_BLOCKS_AHEAD))
         try:
-            while True:
-                block, channels, self.timed = ready.popleft().result()
-                self.channels += notes.channels[len(self.channels) : channels]
-                if block is None:
-                    return
-                ready.append(thread.submit(following))
+            while (block := ready.popleft().result()) is not None:
+                ready.append(thread.submit(next, blocks, None))
+                self.channels += block.names[len(self.channels) :]
+                self.timed &= block.timed
                 yield block
         finally:
             self.lines, self.first_bad = notes.lines, notes.first_bad
