@@ -6,7 +6,6 @@ import subprocess
 import sys
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -35,14 +34,11 @@ def outputs(kind: int, constant: int, counts: list[int]) -> list[float]:
     return [one[0] for one in found]
 
 
-def mean_so_far(counts: list[int], constant: int) -> npt.NDArray[np.float64]:
-    return np.array([np.mean(counts[max(0, k + 1 - constant) : k + 1]) for k in range(len(counts))])
-
-
 @given(counts=COUNTS, constant=CONSTANT)
 def test_moving_average_is_the_mean_of_the_last(counts: list[int], constant: int) -> None:
     # Sums of integers are exact: only the one division rounds.
-    np.testing.assert_allclose(outputs(MOVING, constant, counts), mean_so_far(counts, constant), rtol=1e-15, atol=1e-9)
+    means = [np.mean(counts[max(0, k + 1 - constant) : k + 1]) for k in range(len(counts))]
+    np.testing.assert_allclose(outputs(MOVING, constant, counts), means, rtol=1e-15, atol=1e-9)
 
 
 @given(counts=COUNTS, constant=CONSTANT)

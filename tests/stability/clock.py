@@ -7,7 +7,6 @@ import struct
 import numpy as np
 
 from canopen_device.core import codes, communication
-from canopen_device.core.node import Device
 from fingertip import finger as rig
 from stability.case import Observed
 from tipforce.dictionary import indices
@@ -87,11 +86,6 @@ def _time(when: datetime.datetime) -> bytes:
     return struct.pack("<IH", (since.seconds * 1000) + since.microseconds // 1000, since.days)
 
 
-def _network_ms(device: Device) -> int:
-    found = device.time.unix_ms()
-    return -1 if found is None else found
-
-
 def clock_time_of_day() -> Observed:
     """TIME for 2038-01-19, 2106-02-07 and the last day of 16 bits, 2163-06-06 -> pass: network time in milliseconds
     equals the calendar's, and continues over the wrap"""
@@ -103,7 +97,7 @@ def clock_time_of_day() -> Observed:
         finger.now_us += 2_000_000
         finger.step()
         right = (when + datetime.timedelta(seconds=2) - epoch) // datetime.timedelta(milliseconds=1)
-        off.append(_network_ms(finger.device) - right)
+        off.append(finger.device.time.unix_ms() - right)
     last = (datetime.datetime(2163, 6, 6) - datetime.datetime(1984, 1, 1)).days
     return off == [0, 0, 0] and last == 0xFFFF, f"off by {off} ms, 2 s after each; last day is {last}"
 
@@ -112,14 +106,14 @@ def clock_time_of_day_impossible() -> Observed:
     """TIME with 86400000 ms or more after midnight, or 5 and 7 bytes -> refused: the message is discarded, the previous
     time continues"""
     finger = rig.finger()
-    never = _network_ms(finger.device)
+    never = finger.device.time.unix_ms()
     finger.step([(codes.TIME_COB_ID, _time(datetime.datetime(2024, 2, 29, 12)))])
-    before = _network_ms(finger.device)
+    before = finger.device.time.unix_ms()
     for data in (struct.pack("<IH", _DAY_MS, 40), struct.pack("<IH", 0x0FFFFFFF, 40), bytes(5), bytes(7), b""):
         finger.now_us += 1_000_000
         finger.step([(codes.TIME_COB_ID, data)])
-    after = _network_ms(finger.device)
-    return never == -1 and after - before == 5000, f"5 messages passed over; time runs on by {after - before} ms"
+    after = finger.device.time.unix_ms()
+    return never is None and after - before == 5000, f"5 messages passed over; time runs on by {after - before} ms"
 
 
 def clock_log_2038() -> Observed:

@@ -1,6 +1,7 @@
 """Calibration fits from readings that are insufficient, contradictory, or in extreme units."""
 
 import math
+from functools import partial
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from tipforce.sensor.structure.strain import FABRICATED, strain_matrix
 
 _NOISE = 3e-7
 _P = 4.4
+_refusal = partial(refusal, fit_calibration)
 
 
 def _readings(
@@ -28,11 +30,6 @@ def _readings(
     rng = np.random.default_rng(12)
     strain = force_vector(P, phi, theta) @ matrix.T + 1e-5 * np.arange(1.0, 4.0)
     return Readings(strain + noise * rng.standard_normal(strain.shape), P, phi, theta, np.arange(len(P), dtype=float))
-
-
-def _refusal(readings: Readings) -> str:
-    """Return the error text of fit_calibration; empty without an error."""
-    return refusal(fit_calibration, readings)
 
 
 def _changed(readings: Readings, **columns: FloatArray) -> Readings:

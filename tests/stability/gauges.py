@@ -62,7 +62,8 @@ def gauge_open() -> Observed:
     faults, codes = int(finger.get("H", indices.FAULTS)), finger.emcy()
     held = found.contact == rig.HUSHED and found.gauges == rig.HUSHED and bool(found.status & scalar.FRONT_END_FAULT)
     held &= bool(faults >> table.FAULT_WIRE_BREAK & 1) and table.EMCY_FRONT_END in codes
-    return held, f"status {found.status:02X}h, 2124h {faults:04X}h, EMCY {_hex(codes)}"
+    told = ", ".join(f"{code:04X}h" for code in codes)
+    return held, f"status {found.status:02X}h, 2124h {faults:04X}h, EMCY {told}"
 
 
 def gauge_stuck() -> Observed:
@@ -235,7 +236,3 @@ def gauge_drift() -> Observed:
     after = finger.get("f", indices.PROCESS_VALUE, 6)
     held = worst <= 0.015 and before > 0.15 and abs(after) < 0.02
     return held, f"F3 follows within {1e3 * worst:.0f} mN (noise 3 mN), {before:.3f} N, after the tare {after:.3f} N"
-
-
-def _hex(codes: Sequence[int]) -> str:
-    return ", ".join(f"{code:04X}h" for code in codes)

@@ -69,17 +69,14 @@ def uncertainty_scale() -> Observed:
     one = estimate.standard_uncertainties(F, B @ B.T, pull=False)
     worst = 0.0
     for power in (-800, -500, -100, 100, 500):
-        scaled = estimate.standard_uncertainties(np.ldexp(F, power), _times(B @ B.T, 2 * power), pull=False)
+        with np.errstate(under="ignore"):
+            covariance = np.ldexp(B @ B.T, 2 * power)
+        scaled = estimate.standard_uncertainties(np.ldexp(F, power), covariance, pull=False)
         scaled[:, 0] = np.ldexp(scaled[:, 0], -power)
         worst = max(worst, float(np.abs(scaled / one - 1.0).max())) if abs(power) <= 500 else worst
         if power == -800:  # the covariance underflows to 0: u must be 0, not NaN
             worst = max(worst, float(np.abs(scaled).max()))
     return worst <= 1e-12, f"largest relative change {worst:.1e}"
-
-
-def _times(covariance: FloatArray, power: int) -> FloatArray:
-    with np.errstate(under="ignore"):
-        return np.ldexp(covariance, power)
 
 
 def uncertainty_not_finite() -> Observed:

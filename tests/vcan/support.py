@@ -163,11 +163,6 @@ Launch = Callable[..., Command]
 """The fixture that starts `tipforce WORDS`."""
 
 
-def tipforce(*words: str) -> list[str]:
-    """The command line of `tipforce WORDS`."""
-    return [sys.executable, "-m", "tipforce_tools.cli.main", *words]
-
-
 def _run_here(words: Sequence[str], outputs: Sequence[str]) -> None:
     """In the forked process: be `tipforce WORDS`."""
     from tipforce_tools.cli.main import main

@@ -5,6 +5,7 @@ import signal
 import socket
 import struct
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -15,7 +16,7 @@ import pytest
 from bench.measure import background
 
 from tipforce.host.frames.frame_block import LENGTHS
-from vcan.support import NODE_ID, SYNC, WAIT_S, Command, RawBus, ip_link, tipforce, wait_until
+from vcan.support import NODE_ID, SYNC, WAIT_S, Command, RawBus, ip_link, wait_until
 
 EVERYTHING = "vcan0,0:0,#FFFFFFFF"
 TWO_BUSES = ["vcan0,123:7FF", "vcan1,123~7FF"]
@@ -191,7 +192,8 @@ def test_decoded_lines_come_while_candump_still_runs(bus: RawBus, node: Command,
     bus.send(0x000, bytes((1, NODE_ID)))
     with output.open("wb") as file:
         candump = subprocess.Popen(["candump", "-L", "vcan0"], stdout=subprocess.PIPE)
-        dump = subprocess.Popen(tipforce("dump", "--decode", "-"), stdin=candump.stdout, stdout=file)
+        command = [sys.executable, "-m", "tipforce_tools.cli.main", "dump", "--decode", "-"]
+        dump = subprocess.Popen(command, stdin=candump.stdout, stdout=file)
         try:
             wait_until(lambda: "Contact" in output.read_text(), "no decoded line", lambda: bus.send(SYNC))
             assert candump.poll() is None

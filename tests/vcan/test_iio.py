@@ -112,14 +112,11 @@ def iio_node(
     """Node 5 on the three ADCs, calibrated and operational, with fast heartbeats."""
     folder = tmp_path_factory.mktemp("iio")
     (folder / "finger.toml").write_text(LAYOUT)
-    with running_node(folder, *flags(folder, "0-0050,iio:device1,device2/voltage")) as node:
+    flags = ("--layout", str(folder / "finger.toml"), "--source", "iio:0-0050,iio:device1,device2/voltage")
+    with running_node(folder, *flags) as node:
         host.finger(NODE_ID).apply_calibration(CALIBRATION, store=False)
         yield node
         assert "Traceback" not in node.stderr
-
-
-def flags(folder: Path, devices: str) -> tuple[str, ...]:
-    return ("--layout", str(folder / "finger.toml"), "--source", f"iio:{devices}")
 
 
 @pytest.fixture
@@ -130,7 +127,8 @@ def rig(adcs: Adcs, iio_node: Command, bus: RawBus) -> Rig:
 
 
 def test_the_host_sees_the_recorded_contact_within_the_bound(rig: Rig) -> None:
-    covariance = propagated()
+    # The covariance of F, its upper triangle by rows.
+    covariance = (CALIBRATION.C @ CALIBRATION.covariance_strain2 @ CALIBRATION.C.T)[np.triu_indices(3)].tolist()
     worst = np.zeros(3)
     loads = recorded_load()
     assert len(loads) >= 50
@@ -145,13 +143,6 @@ def test_the_host_sees_the_recorded_contact_within_the_bound(rig: Rig) -> None:
         assert all(abs(error) <= bound for error, bound in zip(errors, bounds, strict=True)), (rig.load, errors, bounds)
         worst = np.maximum(worst, np.abs(errors) / bounds)
     assert worst.max() > 0.1, "a bound that wide would say nothing"
-
-
-def propagated() -> tuple[float, float, float, float, float, float]:
-    """The covariance of F, upper triangle by rows."""
-    covariance = CALIBRATION.C @ CALIBRATION.covariance_strain2 @ CALIBRATION.C.T
-    (f11, f12, f13), (_, f22, f23), (_, _, f33) = covariance.tolist()
-    return f11, f12, f13, f22, f23, f33
 
 
 def turned(degrees: float) -> float:
