@@ -53,11 +53,12 @@ def test_the_frames_say_what_the_sample_says(buses: tuple[can.BusABC, can.BusABC
             sample = read.read(data)["thumb"]
             [content] = [content for can_id, content in received(buses[1]) if can_id == 0x281]
             P, phi, theta, status, counter = struct.unpack("<hhhBB", content)
+            contact = sample.contact
             assert status == int(sample.status)
-            assert counter == sample.counter
-            assert round(1000 * sample.P_newtons) == P
-            if not np.isnan(sample.theta_deg):
-                assert (round(100 * sample.phi_deg), round(100 * sample.theta_deg)) == (phi, theta)
+            assert counter == contact.counter
+            assert round(1000 * contact.P_newtons) == P
+            if not np.isnan(contact.theta_deg):
+                assert (round(100 * contact.phi_deg), round(100 * contact.theta_deg)) == (phi, theta)
                 compared += 1
     assert compared > 20
     assert received(buses[1])[-1] == (0x701, b"\x04")  # stopped on purpose

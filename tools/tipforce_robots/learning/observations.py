@@ -19,6 +19,8 @@ from tipforce.samples.contact import Contact
 if TYPE_CHECKING:
     from gymnasium import spaces
 
+    from tipforce_robots.mujoco.twin import TwinSample
+
 Observation = dict[str, npt.NDArray[np.float32] | npt.NDArray[np.int8]]
 """``values``, ``uncertainties`` and ``valid``."""
 LARGEST = np.array([32.767, pi, pi], dtype=np.float32)
@@ -45,10 +47,10 @@ def observation_space(fingers: int) -> spaces.Dict:
     return spaces.Dict({**boxes, "valid": spaces.MultiBinary((fingers, 3))})
 
 
-def observation(row: Mapping[str, Contact]) -> Observation:
+def observation(row: Mapping[str, Contact] | Mapping[str, TwinSample]) -> Observation:
     """Return one row of fingers, in its order: a ``HandRow``, or what ``Fingertips.read`` returned."""
-    groups = (_VALUES, _UNCERTAINTIES)
-    columns = ([[getattr(tip, name) for name in names] for tip in row.values()] for names in groups)
+    contacts = [tip if isinstance(tip, Contact) else tip.contact for tip in row.values()]
+    columns = ([[getattr(tip, name) for name in names] for tip in contacts] for names in (_VALUES, _UNCERTAINTIES))
     return masked(*map(np.array, columns))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from math import hypot, sqrt
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.fingertip.node import Fingertip, fingertip_node
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.samples import reasons
-from tipforce.samples.contact import Contact, Fields
+from tipforce.samples.contact import Contact
 from tipforce.samples.reasons import Status
 from tipforce.scene.delivered import CALIBRATION, beam_calibration, check_noise, stored_calibration
 from tipforce.sensor import FABRICATED, strain_matrix
@@ -105,61 +105,13 @@ _NO_LOAD: Wrench = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
 _NO_TURN = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
 
 
-_Row = tuple["Sample", str, int, float]  # of which a TwinSample is made: sample, name, node-id, time
+class TwinSample:
+    """One sample of one fingertip, as its node has it, beside the true ``load``. NaN stands for unknown."""
 
-
-def _of_force(value: Callable[[Sample], float]) -> Callable[[_Row, int], float]:
-    """Return what makes a field in newtons: NaN where the force is unknown."""
-    return lambda row, _: _NAN if row[0].unknown_early() & scalar.UNKNOWN_FORCE else value(row[0])
-
-
-def _of_angle(bit: int, value_rad: Callable[[Sample], float]) -> Callable[[_Row, int], float]:
-    """Return what makes a field in degrees: NaN where the angle of this bit is unknown."""
-    return lambda row, _: _NAN if row[0].unknown() & bit else value_rad(row[0]) * scalar.DEGREES
-
-
-def _status(row: _Row, _: int) -> Status:
-    """Return 2120h, and bits 12 to 15 of 2124h."""
-    bits = row[0].status() | row[0].faults & reasons.JUDGED
-    return Status(bits | (reasons.LEFT_OUT if row[0].spared else 0))
-
-
-_FIELDS: Fields = {
-    "node_id": lambda row, _: row[2],
-    "t_s": lambda row, _: row[3],
-    "counter": lambda row, _: row[0].counter,
-    "P_newtons": _of_force(lambda sample: sample.contact()[0]),
-    "phi_deg": _of_angle(scalar.UNKNOWN_PHI, lambda sample: sample.contact()[1]),
-    "theta_deg": _of_angle(scalar.UNKNOWN_THETA, lambda sample: sample.contact()[2]),
-    "u_P_newtons": _of_force(lambda sample: sample.magnitude_uncertainty()),
-    "u_phi_deg": _of_angle(scalar.UNKNOWN_PHI, lambda sample: sample.uncertainty()[1]),
-    "u_theta_deg": _of_angle(scalar.UNKNOWN_THETA, lambda sample: sample.uncertainty()[2]),
-    "status": _status,
-    "microstrain": lambda row, _: tuple(row[0].microstrains),
-    "name": lambda row, _: row[1],
-    "missing": lambda _row, _: "",
-}
-
-
-class TwinSample(Contact):
-    """One sample of one fingertip, as its node has it, beside the true ``load``; fields are made when they are read.
-    ``microstrain`` is what the node makes of the counts (6130h)."""
-
-    __slots__ = ("load",)
-    load: Load
+    __slots__ = ("_sample", "load", "name", "node_id", "t_s")
 
     def __init__(self, name: str, node_id: int, t_s: float, sample: Sample, load: Load) -> None:
-        put = object.__setattr__  # of a frozen class
-        put(self, "_source", (_FIELDS, (sample, name, node_id, t_s), 0))
-        put(self, "load", load)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return TwinSample, (self.name, self.node_id, self.t_s, self._sample, self.load)
-
-    @property
-    def _sample(self) -> Sample:
-        sample: Sample = self._source[1][0]
-        return sample
+        self.name, self.node_id, self.t_s, self._sample, self.load = name, node_id, t_s, sample, load
 
     @property
     def counts(self) -> tuple[int, ...]:
@@ -168,10 +120,56 @@ class TwinSample(Contact):
         return () if reading is None else tuple(reading.counts)
 
     @property
+    def microstrain(self) -> tuple[float, ...]:
+        """What the node makes of the counts (6130h)."""
+        return tuple(self._sample.microstrains)
+
+    @property
+    def status(self) -> Status:
+        """2120h, and bits 12 to 15 of 2124h, as in ``tipforce.Contact``."""
+        bits = self._sample.status() | self._sample.faults & reasons.JUDGED
+        return Status(bits | (reasons.LEFT_OUT if self._sample.spared else 0))
+
+    @property
     def F_newtons(self) -> Vector:
-        """F1, F2, F3 as the node has them, also where phi or theta is unknown."""
-        known = not self._sample.unknown_early() & scalar.UNKNOWN_FORCE
-        return self._sample.force() if known else (_NAN, _NAN, _NAN)
+        """F1, F2, F3."""
+        return (_NAN, _NAN, _NAN) if self._unknown_force() else self._sample.force()
+
+    @property
+    def P_newtons(self) -> float:
+        """Force magnitude."""
+        return _NAN if self._unknown_force() else self._sample.contact()[0]
+
+    @property
+    def u_P_newtons(self) -> float:
+        """Standard uncertainty of P."""
+        return _NAN if self._unknown_force() else self._sample.magnitude_uncertainty()
+
+    @property
+    def phi_deg(self) -> float:
+        """Force direction, (-180, 180]."""
+        return self._angle(scalar.UNKNOWN_PHI, self._sample.contact()[1])
+
+    @property
+    def theta_deg(self) -> float:
+        """Contact angle."""
+        return self._angle(scalar.UNKNOWN_THETA, self._sample.contact()[2])
+
+    @property
+    def contact(self) -> Contact:
+        """The same as a ``tipforce.Contact``, with the uncertainties of the angles, ``reason`` and text."""
+        u_phi, u_theta = self._sample.uncertainty()[1:]
+        return Contact(
+            self.node_id, self.t_s, self._sample.counter, self.P_newtons, self.phi_deg, self.theta_deg,
+            self.u_P_newtons, self._angle(scalar.UNKNOWN_PHI, u_phi), self._angle(scalar.UNKNOWN_THETA, u_theta),
+            self.status, self.microstrain, self.name,
+        )  # fmt: skip
+
+    def _unknown_force(self) -> int:
+        return self._sample.unknown_early() & scalar.UNKNOWN_FORCE
+
+    def _angle(self, bit: int, value_rad: float) -> float:
+        return _NAN if self._sample.unknown() & bit else value_rad * scalar.DEGREES
 
 
 class Fingertips:
