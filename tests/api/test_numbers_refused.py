@@ -57,6 +57,8 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "force": (lambda: tipforce.fit_calibration(readings(P_newtons=1e300)), "1e-50 to 1e+50 N"),
     "degrees": (lambda: tipforce.fit_calibration(readings(phi_rad=57.3)), "np.radians()"),
     "shape of a matrix": (lambda: sensor.condition_number([1.0, 2.0, 3.0]), "(3,): allowed are"),
+    "a matrix of nothing": (lambda: sensor.condition_number(np.zeros((0, 3))), "(0, 3): allowed are"),
+    "beyond any float": (lambda: sensor.contacts([10**400, 0, 0], pull=True), "is no array of numbers"),
     "C of NaN": (lambda: sensor.parity(np.full((3, 4), NAN), np.eye(4)), "C holds nan"),
     "linear fit": (lambda: sensor.linear_fit(NAN * SQUARE, SQUARE), "finite"),
     "closing load": (lambda: sensor.closing_load(FABRICATED, NAN, 0.0), "finite angles"),
@@ -117,6 +119,7 @@ def test_an_uncertainty_that_is_too_large_is_no_warning() -> None:
 
 def test_what_is_not_known_is_nan() -> None:
     assert np.isnan(sensor.condition_number(NAN * SQUARE))
+    assert np.isnan(sensor.force_vector(1.0, INF, 0.0)).all()
     assert np.isnan(sensor.standard_uncertainties([4.0, 1.0, 2.0], -SQUARE, pull=True)).all()
     assert sensor.noise_gain(1e200 * SQUARE) == pytest.approx(3**0.5 * 1e200)
 
