@@ -128,7 +128,7 @@ def test_what_is_not_known_is_nan() -> None:
 
 
 def test_node_ids_of_any_integer_type() -> None:
-    with tipforce.simulated_hand(list(np.array([2, 100], dtype=np.int8))) as bus:  # type: ignore[arg-type]
+    with tipforce.simulated_hand(list(np.array([2, 100], dtype=np.int8))) as bus:
         assert bus.node_ids == (2, 100)
         assert bus.finger(100).sdo["identity.serial"] == 1100
     assert np.isnan(sensor.standard_uncertainties([4.0, 1.0, 2.0], -SQUARE, pull=True)).all()
