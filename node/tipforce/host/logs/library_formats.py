@@ -116,7 +116,7 @@ class _BlfReader(can.BLFReader):
 
 
 def _row(path: Path, notes: LogNotes, message: can.Message) -> bytes:
-    if message.is_fd:
+    if message.is_fd or len(message.data) > 8:  # .csv and .db do not record what is CAN FD
         notes.skip(FD)
         return b""
     name = "can" if message.channel is None else str(message.channel)
@@ -126,5 +126,5 @@ def _row(path: Path, notes: LogNotes, message: can.Message) -> bytes:
     # A float has no nanosecond resolution for present times: digits below a microsecond are noise.
     t_ns = round(message.timestamp * 1e6) * 1000
     length = message.dlc if message.is_remote_frame else len(message.data)
-    data = b"" if message.is_remote_frame else bytes(message.data[:8])
+    data = b"" if message.is_remote_frame else bytes(message.data)
     return PACK_FRAME(t_ns, raw_can_id(message), min(length, 8), channel, 0 if message.is_rx else SENT, data)
