@@ -59,13 +59,12 @@ def message_block(messages: Iterable[can.Message], names: dict[str, int], channe
         name = channel or str("can" if message.channel is None else message.channel)
         number = names.setdefault(name, len(names))
         t_ns, can_id, sent = round(message.timestamp * 1e9), raw_can_id(message), not message.is_rx
-        if message.is_fd:
+        if message.is_fd or len(message.data) > 8:  # of a format that does not record what is CAN FD
             flags = message.bitrate_switch * BIT_RATE_SWITCH + message.error_state_indicator * ERROR_STATE
             row = len(frames) // FRAME.itemsize
             fd.append(FdFrame(row, t_ns, can_id, flags, bytes(message.data), number, sent))
         else:
-            data = bytes(message.data[:8])
-            frames += PACK_FRAME(t_ns, can_id, min(message.dlc, 8), number, SENT if sent else 0, data)
+            frames += PACK_FRAME(t_ns, can_id, min(message.dlc, 8), number, SENT if sent else 0, bytes(message.data))
     return CandumpBlock(np.frombuffer(frames, dtype=FRAME), tuple(names), fd=tuple(fd))
 
 
