@@ -28,7 +28,6 @@ TYPICAL_NEWTONS_PER_STRAIN = 5e3
 """Smallest singular value of C by beam theory: 4.4e3 to 6.1e3 for the cases I to III in the fabricated dimensions."""
 ALLOWED = 30.0
 """Factor to either side of it: other dimensions, materials, numbers of gauges."""
-_MOST_NOISE = 1e6
 _NEAR = 3.0  # factor from a suspect
 _SUSPECTS = {
     1e-6: "the matrix looks like newtons per microstrain: multiply it by 1e6",
@@ -149,8 +148,8 @@ class Calibration:
             deviation = _array("noise", noise)
             if deviation.shape not in {(), (n,)}:
                 raise InputError(f"calibration noise: shape {deviation.shape}, allowed are one number and ({n},)")
-            if (wrong := deviation[~((deviation > 0.0) & (deviation <= _MOST_NOISE))]).size:
-                raise InputError(f"calibration noise: {wrong[0]:g} microstrain, allowed is above 0 to {_MOST_NOISE:g}")
+            if (wrong := deviation[~((deviation > 0.0) & (deviation <= 1e6))]).size:
+                raise InputError(f"calibration noise: {wrong[0]:g} microstrain, allowed is above 0 to 1e+06")
             covariance = np.diag(np.broadcast_to(deviation**2, n))
         zero = np.zeros(n) if offset is None else _array("offset", offset) * 1e-6
         calibration = cls(C, zero, _array("covariance", covariance) * 1e-12, pull=pull, **facts)
