@@ -213,6 +213,15 @@ def test_what_python_can_writes(tmp_path: Path, suffix: str) -> None:
     assert not (frames["flags"] & SENT).any()
 
 
+def test_a_time_that_no_frame_can_have_costs_its_record_alone(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    with can.Logger(path) as writer:
+        for t_s in (1.0, float("nan"), 1e300, 2.0):
+            writer(can.Message(t_s, 0x285, is_extended_id=False, data=bytes(8)))
+    frames, log = read(path)
+    assert (frames["t_ns"].tolist(), log.bad) == ([10**9, 2 * 10**9], {"timestamp": 2})
+
+
 @pytest.mark.parametrize("suffix", [".asc", ".blf", ".csv", ".db", ".mf4", ".trc"])
 def test_junk_under_any_name_is_no_traceback(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"x{suffix}"

@@ -115,6 +115,9 @@ class _BlfReader(can.BLFReader):
             place += size
 
 
+_LATEST_S = 9e9  # the nanoseconds of a frame have 63 bits
+
+
 def _row(path: Path, notes: LogNotes, message: can.Message) -> bytes:
     if message.is_fd or len(message.data) > 8:  # .csv and .db do not record what is CAN FD
         notes.skip(FD)
@@ -122,6 +125,9 @@ def _row(path: Path, notes: LogNotes, message: can.Message) -> bytes:
     name = "can" if message.channel is None else str(message.channel)
     channel = notes.channel(f"can{name}" if name.isdecimal() else name, path)
     if channel is None:
+        return b""
+    if not abs(message.timestamp) < _LATEST_S:
+        notes.note_bad("timestamp", f"{path}: a timestamp of {message.timestamp:g} s: allowed is below {_LATEST_S:g}")
         return b""
     # A float has no nanosecond resolution for present times: digits below a microsecond are noise.
     t_ns = round(message.timestamp * 1e6) * 1000
