@@ -36,7 +36,7 @@ def floats(name: str, values: npt.ArrayLike) -> FloatArray:
             count = np.count_nonzero(np.ma.getmaskarray(given))
             raise InputError(f"{name}: {count} masked entries: allowed are numbers, NaN for unknown")
         return np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         shown = " ".join(repr(values).split())
         shown = shown if len(shown) <= _SHOWN else shown[:_SHOWN] + "..."
         raise InputError(f"{name}: {shown} is no array of numbers") from None

@@ -57,6 +57,8 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "force": (lambda: tipforce.fit_calibration(readings(P_newtons=1e300)), "1e-50 to 1e+50 N"),
     "degrees": (lambda: tipforce.fit_calibration(readings(phi_rad=57.3)), "np.radians()"),
     "shape of a matrix": (lambda: sensor.condition_number([1.0, 2.0, 3.0]), "(3,): allowed are"),
+    "a matrix of nothing": (lambda: sensor.condition_number(np.zeros((0, 3))), "(0, 3): allowed are"),
+    "beyond any float": (lambda: sensor.contacts([10**400, 0, 0], pull=True), "is no array of numbers"),
     "C of NaN": (lambda: sensor.parity(np.full((3, 4), NAN), np.eye(4)), "C holds nan"),
     "linear fit": (lambda: sensor.linear_fit(NAN * SQUARE, SQUARE), "finite"),
     "closing load": (lambda: sensor.closing_load(FABRICATED, NAN, 0.0), "finite angles"),
@@ -76,6 +78,7 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "variance of 0": (lambda: made(covariance=np.zeros((3, 3))), "variance is 0: allowed is above 0"),
     "no covariance": (lambda: made(covariance=None), "give covariance"),
     "two noises": (lambda: made(covariance=None, noise=[1.0, 2.0]), "noise: shape (2,)"),
+    "a noise of 1e308": (lambda: made(covariance=None, noise=1e308), "1e+308 microstrain, allowed is above 0 to 1e+06"),
     "no node": (lambda: tipforce.simulated_hand(0), "different ones from 1 to 127"),
     "one node twice": (lambda: tipforce.simulated_hand([1, 1]), "different ones from 1 to 127"),
     "load of no node": (lambda: tipforce.simulated_hand(2, {3: (1.0, 90.0, 45.0)}), "loads of nodes [3]"),
@@ -117,6 +120,17 @@ def test_an_uncertainty_that_is_too_large_is_no_warning() -> None:
 
 def test_what_is_not_known_is_nan() -> None:
     assert np.isnan(sensor.condition_number(NAN * SQUARE))
+    assert np.isnan(sensor.force_vector(1.0, INF, 0.0)).all()
+    warm, rows = replace(CALIBRATION, gain_temperature_per_K=1e-3), np.random.default_rng(2).normal(size=(50, 3)) * 100
+    found = [tipforce.estimate(warm, rows, temperature_degC=degC) for degC in (NAN, INF, -INF)]
+    assert all(np.array_equal(contacts.values, found[0].values, equal_nan=True) for contacts in found)
+    assert found[1].has(tipforce.Status.TEMPERATURE).all()
+
+
+def test_node_ids_of_any_integer_type() -> None:
+    with tipforce.simulated_hand(list(np.array([2, 100], dtype=np.int8))) as bus:
+        assert bus.node_ids == (2, 100)
+        assert bus.finger(100).sdo["identity.serial"] == 1100
     assert np.isnan(sensor.standard_uncertainties([4.0, 1.0, 2.0], -SQUARE, pull=True)).all()
     assert sensor.noise_gain(1e200 * SQUARE) == pytest.approx(3**0.5 * 1e200)
 

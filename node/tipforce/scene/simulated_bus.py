@@ -114,7 +114,7 @@ def simulated_hand(
     **bus: str,
 ) -> SimulatedBus:
     """Return a bus with fingers (number, or node-ids), ``loads`` by node-id. Otherwise as ``simulated_finger``."""
-    chosen = tuple(range(1, node_ids + 1)) if isinstance(node_ids, int) else tuple(node_ids)
+    chosen = tuple(range(1, node_ids + 1)) if isinstance(node_ids, int | np.integer) else tuple(node_ids)
     loads = loads or {}
     if not chosen or len(set(chosen)) != len(chosen) or not all(node_id in range(1, 128) for node_id in chosen):
         raise InputError(f"node-ids {list(chosen)}: allowed are different ones from 1 to 127")
@@ -125,7 +125,7 @@ def simulated_hand(
     devices: dict[int, Device] = {}
     sources: dict[int, SimulatedSource] = {}
     A = strain_matrix(FABRICATED, layout)
-    for node_id in chosen:
+    for node_id in map(int, chosen):  # of any integer type
         store = MemoryStore()
         source = SimulatedSource(A.tolist(), noise_microstrain, seed=seed + node_id)
         source.load = loads.get(node_id, NO_LOAD)

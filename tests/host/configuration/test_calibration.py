@@ -306,6 +306,11 @@ def test_a_clock_that_jumps_costs_one_row(tmp_path: Path) -> None:
         ("SG1,SG2".encode("utf-16"), "the text is UTF-16"),
         (HEADER.encode() + b"\n1,2,3,4,5,\xb0\n", "line 2: byte 0xB0 is not UTF-8"),
         (HEADER.encode() + b"\n1,2\0,3,4,5,6\n", "line 2: a NUL byte"),
+        (
+            HEADER.encode() + b"," + 200_000 * b"x" + b"\n1,2,3,4,5,6,7\n",
+            "line 1: field larger than field limit (131072)",
+        ),
+        (HEADER.encode() + b',node\n1,2,3,4,5,6,"7' + 30_000 * b"\n1,2,3,4,5,6,7", "do the quotes match?"),
         (HEADER.replace(",", ";").encode() + b"\n1;2\n", "separate columns by commas"),
         (b"SG1,SG2,SG2,P_N,phi_deg,theta_deg\n1,2,3,4,5,6\n", "the column SG2 occurs more than once"),
         (b"SG1,e1_ue,SG2,SG3,P_N,phi_deg,theta_deg\n1,2,3,4,5,6,7\n", "the column SG1 occurs more than once"),

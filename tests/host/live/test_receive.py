@@ -198,6 +198,12 @@ def test_python_can_behind_the_same_call() -> None:
         assert receiver.fileno() == -1
 
 
+def test_a_message_of_more_than_8_bytes_is_can_fd() -> None:
+    """The readers of .csv and .db do not say so."""
+    block = message_block([can.Message(arbitration_id=0x285, data=bytes(12), is_extended_id=False, check=False)], {})
+    assert (len(block.frames), [(one.can_id, one.data) for one in block.fd]) == (0, [(0x285, bytes(12))])
+
+
 def test_python_can_of_several_buses(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(_timeout_s: float) -> object:
         raise EnvironmentLackError("unplugged")

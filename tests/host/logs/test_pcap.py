@@ -100,6 +100,10 @@ def test_what_is_no_classic_frame_is_counted(tmp_path: Path) -> None:
     with open_log(path) as log:
         (frame,) = next(log.blocks()).fd
     assert (frame.row, frame.can_id, frame.flags, frame.data) == (0, 0x123, 0, bytes(12))
+    path.write_bytes(pcap([socketcan(0x285, bytes(8))[:12], socketcan(0x285, bytes(8))]))  # one cut by the snap length
+    with open_log(path) as log:
+        assert sum(len(frames) for frames in log) == 1
+    assert log.bad == {"not CAN": 1}
     path.write_bytes(pcap([cooked(0x123, bytes(12), 0x000D), cooked(0x181, b"", 0x0800)], link=113))
     with open_log(path) as log:
         assert not list(log)

@@ -185,6 +185,7 @@ MESSAGES = [
     can.Message(START + 0.25, 0x285, is_extended_id=False, data=bytes(range(8)), channel=0),
     can.Message(START + 0.5, 0x1234567, data=b"\x07", channel=0),
     can.Message(START + 1.5, 0x181, is_extended_id=False, is_remote_frame=True, dlc=3, channel=0),
+    can.Message(START + 2.0, 0x285, is_extended_id=False, is_fd=True, data=bytes(64), channel=0),
 ]
 
 
@@ -198,6 +199,7 @@ def test_what_python_can_writes(tmp_path: Path, suffix: str) -> None:
             time.sleep(0.2)  # its writer loses rows when it is closed right after
     frames, log = read(path)
     assert log.bad == {}
+    assert log.skipped.get("CAN FD frame") == (None if suffix == ".trc" else 1)  # its writer leaves them out
     expected = [0x285, 0x81234567, 0x40000181]
     if suffix == ".trc":
         expected.pop()  # its writer and its reader do not agree on remote frames
@@ -209,6 +211,15 @@ def test_what_python_can_writes(tmp_path: Path, suffix: str) -> None:
     steps = np.diff(frames["t_ns"]) / 1e9
     np.testing.assert_allclose(steps, [0.25, 1.0][: len(steps)], atol=2e-3 if suffix == ".asc.gz" else 1e-3)
     assert not (frames["flags"] & SENT).any()
+
+
+def test_a_time_that_no_frame_can_have_costs_its_record_alone(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    with can.Logger(path) as writer:
+        for t_s in (1.0, float("nan"), 1e300, 2.0):
+            writer(can.Message(t_s, 0x285, is_extended_id=False, data=bytes(8)))
+    frames, log = read(path)
+    assert (frames["t_ns"].tolist(), log.bad) == ([10**9, 2 * 10**9], {"timestamp": 2})
 
 
 @pytest.mark.parametrize("suffix", [".asc", ".blf", ".csv", ".db", ".mf4", ".trc"])

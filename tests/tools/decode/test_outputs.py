@@ -77,6 +77,9 @@ def test_packed_logs_and_stdin(log: Path, tmp_path: Path) -> None:
     piped = subprocess.run(
         [*DECODE, "-", "--format", "csv"], input=log.read_bytes(), capture_output=True, timeout=60, check=True
     )
+    refused = subprocess.run([*DECODE, "-"], input=packed.read_bytes(), capture_output=True, timeout=60, check=False)
+    assert (refused.returncode, refused.stdout) == (2, b"")
+    assert refused.stderr.startswith(b"tipforce: stdin: gzip or zstd in a pipe: unpack it first")
     by_cell = [line.split(b",")[:6] for line in piped.stdout.splitlines()]
     assert by_cell[1:] == [line.split(b",")[:6] for line in (tmp_path / "a.csv").read_bytes().splitlines()][1:]
 

@@ -143,8 +143,8 @@ class Calibration:
             deviation = _array("noise", noise)
             if deviation.shape not in {(), (n,)}:
                 raise InputError(f"calibration noise: shape {deviation.shape}, allowed are one number and ({n},)")
-            if not ((deviation > 0.0) & (deviation < np.inf)).all():
-                raise InputError(f"calibration noise: {deviation.min():g} microstrain, allowed is above 0, finite")
+            if (wrong := deviation[~((deviation > 0.0) & (deviation <= 1e6))]).size:
+                raise InputError(f"calibration noise: {wrong[0]:g} microstrain, allowed is above 0 to 1e+06")
             covariance = np.diag(np.broadcast_to(deviation**2, n))
         zero = np.zeros(n) if offset is None else _array("offset", offset) * 1e-6
         calibration = cls(C, zero, _array("covariance", covariance) * 1e-12, pull=pull, **facts)

@@ -74,7 +74,7 @@ def _value(name: str, cell: str, unloaded: bool) -> float:
     try:
         value = float(cell)
     except ValueError:
-        raise InputError(f"{name} is {cell!r}, not a number" if cell else f"{name} is blank") from None
+        raise InputError(f"{name} is {cell[:80]!r}, not a number" if cell else f"{name} is blank") from None
     if not isfinite(value) or "_" in cell:
         raise InputError(f"{name} is {cell!r}, allowed are finite numbers")
     low, high, unit = _LIMITS.get(name, _GAUGE)
@@ -215,10 +215,13 @@ def _lines(path: str | Path) -> list[str]:
 
 def _require_one_node(path: str | Path, lines: list[str]) -> None:
     rows = csv.reader(lines)
-    header = [name.strip() for name in next(rows)]
-    if not (places := [header.index(name) for name in ("channel", "node") if name in header]):
-        return
-    senders = {" ".join(row[k].strip() for k in places) for row in rows if len(row) == len(header)}
+    try:
+        header = [name.strip() for name in next(rows)]
+        if not (places := [header.index(name) for name in ("channel", "node") if name in header]):
+            return
+        senders = {" ".join(row[k].strip() for k in places) for row in rows if len(row) == len(header)}
+    except csv.Error as error:
+        raise InputError(f"{path}: line {rows.line_num}: {error}; do the quotes match?") from None
     nodes = sorted(senders, key=lambda text: (len(text), text))
     if len(nodes) > 1:
         shown = ", ".join(nodes[:_SHOWN]) + (", ..." if len(nodes) > _SHOWN else "")

@@ -250,7 +250,7 @@ class Judge:
             return unknown
         low, high = active.range_degC
         kelvin = temperature_degC - active.reference_degC
-        known = np.isfinite(temperature_degC) & (1.0 + active.gain_per_kelvin * kelvin > 0.0)
+        known = np.isfinite(kelvin) & (1.0 + active.gain_per_kelvin * np.nan_to_num(kelvin) > 0.0)
         beyond = np.zeros(len(kelvin))
         if low != 0.0 or high != 0.0:
             beyond = np.maximum(np.maximum(low - temperature_degC, temperature_degC - high), 0.0)

@@ -98,11 +98,11 @@ class CandumpBlock:
 def packed(message: can.Message, t_ns: int, interface: int) -> bytes | FdFrame:
     """Return a message of python-can as the bytes of a FRAME, or as a CAN FD frame."""
     can_id, data, sent = raw_can_id(message), bytes(message.data), not message.is_rx
-    if message.is_fd:
+    if message.is_fd or len(data) > 8:  # of a format that does not record what is CAN FD
         flags = message.bitrate_switch * BIT_RATE_SWITCH + message.error_state_indicator * ERROR_STATE
         return FdFrame(0, t_ns, can_id, flags, data, interface, sent)
     length = message.dlc if message.is_remote_frame else len(data)
-    return PACK_FRAME(t_ns, can_id, min(length, 8), interface, SENT if sent else 0, data[:8])
+    return PACK_FRAME(t_ns, can_id, min(length, 8), interface, SENT if sent else 0, data)
 
 
 def gathered(rows: Iterable[bytes | FdFrame], names: tuple[str, ...], timed: bool = True) -> CandumpBlock:

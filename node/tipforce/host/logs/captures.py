@@ -60,10 +60,11 @@ def _packet_row(packet: _Packet, path: Path, notes: LogNotes) -> bytes | FdFrame
             notes.skip(FD)
             data = data[8 : 8 + min(length, 64)]
             return FdFrame(0, t_ns, can_id, flags & (BIT_RATE_SWITCH | ERROR_STATE), data, interface.channel, False)
-        if length <= 8 and 0 <= t_ns < 1 << 63:
-            payload = b"" if can_id & REMOTE_FLAG else data[8 : 8 + length]
+        carried = 0 if can_id & REMOTE_FLAG else length
+        payload = data[8 : 8 + carried]
+        if length <= 8 and len(payload) == carried and 0 <= t_ns < 1 << 63:
             return PACK_FRAME(t_ns, can_id, length, interface.channel, 0, payload)
-    notes.note_bad("not CAN", f"{path}: a packet that is not a CAN frame (link type {interface.link})")
+    notes.note_bad("not CAN", f"{path}: a packet that is cut, or not a CAN frame (link type {interface.link})")
     return b""
 
 

@@ -114,12 +114,19 @@ class _BlfReader(can.BLFReader):
             place += size
 
 
+_LATEST_S = 9e9  # the nanoseconds of a frame have 63 bits
+
+
 def _row(path: Path, notes: LogNotes, message: can.Message) -> bytes | FdFrame:
     name = "can" if message.channel is None else str(message.channel)
     channel = notes.channel(f"can{name}" if name.isdecimal() else name, path)
     if channel is None:
         return b""
-    if message.is_fd:
-        notes.skip(FD)
+    if not abs(message.timestamp) < _LATEST_S:
+        notes.note_bad("timestamp", f"{path}: a timestamp of {message.timestamp:g} s: allowed is below {_LATEST_S:g}")
+        return b""
     # A float has no nanosecond resolution for present times: digits below a microsecond are noise.
-    return packed(message, round(message.timestamp * 1e6) * 1000, channel)
+    row = packed(message, round(message.timestamp * 1e6) * 1000, channel)
+    if isinstance(row, FdFrame):
+        notes.skip(FD)
+    return row

@@ -306,6 +306,8 @@ class LineBlocks:
             yield storage, self._mark_bytes() if first else 0, filled
 
     def _mark_bytes(self) -> int:
+        if self._storage.startswith(PACKED):  # the first bytes of a pipe cannot be looked at beforehand
+            raise InputError(f"{self._place}: gzip or zstd in a pipe: unpack it first: `zcat LOG | tipforce decode -`")
         return len(_BOM) if self._storage.startswith(_BOM) else 0
 
     def _read(self, filled: int) -> int:

@@ -25,7 +25,8 @@ def force_vector(P_newtons: npt.ArrayLike, phi_rad: npt.ArrayLike, theta_rad: np
         raise InputError(
             f"P {P.shape}, phi {phi.shape}, theta {theta.shape}: allowed are shapes that broadcast together"
         ) from None
-    return np.stack((P * np.sin(phi), P * np.sin(phi - theta), P * np.cos(phi)), axis=-1)
+    with np.errstate(invalid="ignore", over="ignore"):
+        return np.stack((P * np.sin(phi), P * np.sin(phi - theta), P * np.cos(phi)), axis=-1)
 
 
 def force_from_strain(
@@ -196,9 +197,8 @@ def contacts(F_newtons: npt.ArrayLike, *, pull: bool) -> Contact:
 def standard_uncertainties(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike, *, pull: bool) -> FloatArray:
     """Return the standard uncertainties of P, phi, theta, (..., 3), N and rad, as scalar.uncertainty(); NaN for bad
     numbers. F: (..., 3); covariance_F: (3, 3) or (..., 3, 3), N^2. Raises InputError for other shapes."""
-    u = deviation_columns(
-        checked_forces(F_newtons), checked_covariances(covariance_F, F_newtons), 1.0 if pull else -1.0
-    )
+    F = checked_forces(F_newtons)
+    u = deviation_columns(F, checked_covariances(covariance_F, F_newtons), 1.0 if pull else -1.0)
     return np.stack(u[:3], axis=-1)
 
 

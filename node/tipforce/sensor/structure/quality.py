@@ -74,7 +74,7 @@ def condition_number(matrix: npt.ArrayLike) -> float:
     """Return the 2-norm condition number, (n, 3) or (3, n), equal for strain matrix and C; it depends on the units of F
     and the scale of rows. inf: singular; NaN: an entry is not finite. Raises InputError for other shapes."""
     entries = floats("matrix", matrix)
-    if entries.ndim != 2 or 3 not in entries.shape:
+    if entries.ndim != 2 or 3 not in entries.shape or not entries.size:
         raise InputError(f"the matrix has the shape {entries.shape}: allowed are (n, 3) and (3, n)")
     if not np.isfinite(entries).all():
         return float("nan")
