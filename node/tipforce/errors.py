@@ -1,20 +1,10 @@
 """Errors of tipforce: each message names the place, the value and what is allowed."""
 
 from canopen_device.errors import CanopenDeviceError as TipforceError
-from canopen_device.errors import EnvironmentLackError, InputError
+from canopen_device.errors import EnvironmentLackError, InputError, placed
 
-__all__ = [
-    "DuplicateNodeError",
-    "EnvironmentLackError",
-    "InputError",
-    "LogError",
-    "NoNewSampleError",
-    "NoResponseError",
-    "RefusedError",
-    "SdoAbortError",
-    "TipforceError",
-    "WriteError",
-]
+__all__ = ["DuplicateNodeError", "EnvironmentLackError", "InputError", "LogError", "NoNewSampleError"]
+__all__ += ["NoResponseError", "RefusedError", "SdoAbortError", "TipforceError", "WriteError", "placed"]
 
 
 class LogError(InputError):

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from canopen_device import types
 from canopen_device.eds.sections import BIT_RATES_KBIT_S, lists_of
-from canopen_device.errors import placed
 from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.names import entries, objects
-from tipforce.errors import InputError
+from tipforce.errors import InputError, placed
 
 if TYPE_CHECKING:
     from tipforce.dictionary.table import Converter

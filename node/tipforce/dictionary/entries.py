@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
 from canopen_device import types
-from canopen_device.errors import placed
 from tipforce.dictionary import table
-from tipforce.errors import InputError
+from tipforce.errors import InputError, placed
 
 if TYPE_CHECKING:
     from tipforce.dictionary.table import Limit

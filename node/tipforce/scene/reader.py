@@ -9,7 +9,7 @@ import msgspec
 from canopen_device.paths_below import below
 from canopen_device.toml_table import convert, read_table
 from tipforce.dictionary.table import STATUS_BITS
-from tipforce.errors import InputError
+from tipforce.errors import InputError, placed
 from tipforce.scene import schema
 from tipforce.scene.registry import SYNCHRONOUS
 from tipforce.sensor.structure.layouts import layout
@@ -37,10 +37,8 @@ def _check_nodes(scene: schema.Scene, place: str) -> None:
         at = f"{place}: nodes[{number}]"
         if group.names and len(group.names) != len(group.ids):
             raise InputError(f"{at}.names has {len(group.names)} names: allowed are as many as ids, {len(group.ids)}")
-        try:
+        with placed(f"{at}.layout"):
             gauges = len(layout(group.layout))
-        except InputError as error:
-            raise InputError(f"{at}.layout: {error}") from None
         if group.offset_microstrain and len(group.offset_microstrain) != gauges:
             raise InputError(f"{at}.offset_microstrain has {len(group.offset_microstrain)} values: allowed is {gauges}")
         if scene.dynamics is not None and group.sample_period_us % scene.dynamics.step_us:
@@ -74,10 +72,8 @@ def _check_loads(scene: schema.Scene, place: str) -> None:
             if not times or any(later - earlier < lasts_s for earlier, later in pairwise(times)):
                 raise InputError(f"{at}.at_s is {times}: allowed are one or more times at least {lasts_s:g} s apart")
         for node_id in load.nodes or scene.node_ids:
-            try:
+            with placed(at):
                 acts = load.history(node_id) is not None
-            except InputError as error:
-                raise InputError(f"{at}: {error}") from None
             if acts and node_id in loaded:
                 raise InputError(f"{at}: node {node_id} already has a load, loads[{loaded[node_id]}]: allowed is one")
             if acts:

@@ -84,16 +84,9 @@ class SimulatedBus(Bus):
 
 
 def simulated_finger(
-    node_id: int = 5,
-    load: Load = NO_LOAD,
-    *,
-    layout: str = "I",
-    calibrated: bool = True,
-    pull: bool | None = None,
-    noise_microstrain: float = 0.5,
-    seed: int = 0,
-    **bus: str,
-) -> SimulatedBus:
+    node_id: int = 5, load: Load = NO_LOAD, *, layout: str = "I", calibrated: bool = True, pull: bool | None = None,
+    noise_microstrain: float = 0.5, seed: int = 0, **bus: str,
+) -> SimulatedBus:  # fmt: skip
     """Return a bus with one finger under ``load``: P in newtons, phi, theta in degrees. ``layout``: I, II, III or a
     mirror; ``pull``: load sense, default that of ``load``. Raises InputError, EnvironmentLackError."""
     return simulated_hand(
@@ -103,16 +96,9 @@ def simulated_finger(
 
 
 def simulated_hand(
-    node_ids: int | Sequence[int] = 5,
-    loads: Mapping[int, Load] | None = None,
-    *,
-    layout: str = "I",
-    calibrated: bool = True,
-    pull: bool | None = None,
-    noise_microstrain: float = 0.5,
-    seed: int = 0,
-    **bus: str,
-) -> SimulatedBus:
+    node_ids: int | Sequence[int] = 5, loads: Mapping[int, Load] | None = None, *, layout: str = "I",
+    calibrated: bool = True, pull: bool | None = None, noise_microstrain: float = 0.5, seed: int = 0, **bus: str,
+) -> SimulatedBus:  # fmt: skip
     """Return a bus with fingers (number, or node-ids), ``loads`` by node-id. Otherwise as ``simulated_finger``."""
     chosen = tuple(range(1, node_ids + 1)) if isinstance(node_ids, int | np.integer) else tuple(node_ids)
     loads = loads or {}

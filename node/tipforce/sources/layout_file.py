@@ -29,7 +29,7 @@ from typing import Literal
 import msgspec
 
 from canopen_device.toml_table import convert, read_table
-from tipforce.errors import InputError
+from tipforce.errors import InputError, placed
 from tipforce.output_file import LAYOUT, write_file
 from tipforce.sensor.structure.layouts import LAYOUTS, layout
 from tipforce.sensor.structure.strain import FABRICATED, Gauge, GaugePosition, Geometry, check_gauges
@@ -86,7 +86,7 @@ def read_bridge(name_or_path: str) -> BridgeTable | None:
     if name_or_path in LAYOUTS:
         return None
     content = _content(name_or_path)
-    try:
+    with placed(f"layout {name_or_path}"):
         _geometry(content)
         table = content.bridge
         if table is not None:
@@ -100,8 +100,6 @@ def read_bridge(name_or_path: str) -> BridgeTable | None:
                 _finite("volts_per_count", table.volts_per_count, positive=True)
             if table.count_range is not None and table.count_range[0] >= table.count_range[1]:
                 raise InputError(f"[bridge] count_range = {list(table.count_range)}: allowed is [lowest, highest]")
-    except InputError as error:
-        raise InputError(f"layout {name_or_path}: {error}") from None
     return table
 
 
@@ -110,13 +108,11 @@ def read_layout(name_or_path: str) -> tuple[Geometry, tuple[Gauge, ...]]:
     if name_or_path in LAYOUTS:
         return FABRICATED, layout(name_or_path)
     content = _content(name_or_path)
-    try:
+    with placed(f"layout {Path(name_or_path)}"):
         if content.gauge_length_mm is not None and not 0.0 < content.gauge_length_mm < float("inf"):
             raise InputError(f"gauge_length_mm = {content.gauge_length_mm!r}: allowed is a positive length")
         geometry = _geometry(content)
         return geometry, _gauges(geometry, content.points)
-    except InputError as error:
-        raise InputError(f"layout {Path(name_or_path)}: {error}") from None
 
 
 def _content(name_or_path: str) -> _File:

@@ -180,16 +180,10 @@ class Fingertips:
     with another finger's, node-ids and numbers that are not allowed."""
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        sites: Mapping[str, str],
-        *,
-        layout: str = "I",
-        calibration: Calibration | None = None,
-        noise_microstrain: float = 0.5,
-        seed: int = 0,
+        self, model: mujoco.MjModel, sites: Mapping[str, str], *, layout: str = "I",
+        calibration: Calibration | None = None, noise_microstrain: float = 0.5, seed: int = 0,
         node_ids: Mapping[str, int] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         check_noise(noise_microstrain)
         self._noise_microstrain = noise_microstrain
         self._rows: list[Vector] = [(a, b, c) for a, b, c in strain_matrix(FABRICATED, layout).tolist()]

@@ -6,7 +6,7 @@ import argparse
 import math
 from typing import TYPE_CHECKING
 
-from tipforce.errors import InputError
+from tipforce.errors import InputError, placed
 from tipforce.output_file import check_output, figure_kind
 from tipforce.sensor.contact.scalar import DEGREES
 from tipforce_tools.cli import common
@@ -122,10 +122,8 @@ def _sensor(args: argparse.Namespace, calibration: Calibration | None) -> Sensor
     if positions and len(positions) != calibration.gauges:
         raise InputError(f"--layout {name}: it has {len(positions)} gauges, the calibration {calibration.gauges}")
     pull = calibration.pull if args.sense is None else args.sense == "pull"
-    try:
+    with placed(f"calibration {args.file}"):
         A = structure_matrix(calibration.C, calibration.covariance_strain2)
-    except InputError as error:
-        raise InputError(f"calibration {args.file}: {error}") from None
     return Sensor(calibration.C, A, calibration.covariance_strain2, pull, True, geometry, positions)
 
 

@@ -14,10 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from canopen_device import types
-from canopen_device.errors import placed
 from tipforce.arrays import FloatArray, floats
 from tipforce.dictionary import indices, table, table_objects
-from tipforce.errors import InputError
+from tipforce.errors import InputError, placed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

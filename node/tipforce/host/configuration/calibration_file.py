@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from canopen_device.errors import placed
 from canopen_device.toml_table import convert, read_table
 from tipforce import output_file
 from tipforce.arrays import FloatArray
 from tipforce.dictionary import table
-from tipforce.errors import InputError
+from tipforce.errors import InputError, placed
 from tipforce.sensor.structure.layouts import CASE_OF_CODE
 
 if TYPE_CHECKING:

@@ -12,13 +12,12 @@ import tomli_w
 
 from canopen_device import types
 from canopen_device.core import codes, communication
-from canopen_device.errors import placed
 from canopen_device.toml_table import convert, read_table
 from canopen_device.types import Value
 from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.names import describe
-from tipforce.errors import InputError, NoResponseError, SdoAbortError
+from tipforce.errors import InputError, NoResponseError, SdoAbortError, placed
 from tipforce.host.configuration.device_objects import DeviceObjects, FingertipObjects, Place
 from tipforce.host.network.sdo import SdoChannel, finished
 

@@ -18,10 +18,9 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import msgspec
 import numpy as np
 
-from canopen_device.errors import placed
 from canopen_device.toml_table import convert, read_table
 from tipforce.arrays import FloatArray
-from tipforce.errors import InputError
+from tipforce.errors import InputError, placed
 from tipforce.host.configuration.measurements import LARGEST_ANGLE_DEG, LOAD_COLUMNS, read_measurements
 from tipforce.output_file import new_file
 from tipforce.sensor.calibration.regressors import FORCES, require_seen

@@ -10,7 +10,7 @@ import msgspec
 from canopen_device.paths_below import below
 from canopen_device.toml_table import convert, read_table
 from tipforce.dictionary.signals import tpdo_messages
-from tipforce.errors import InputError
+from tipforce.errors import InputError, placed
 from tipforce.host.configuration.calibration import Calibration, read_calibration
 from tipforce.host.configuration.configuration_file import Configuration, read_configuration
 
@@ -105,12 +105,10 @@ def read_hand(path: str | Path) -> HandFile:
     """Read and check a hand file. Raises InputError naming the file, the place, the value and what is allowed."""
     content = convert(_Content, read_table(path, str(path)), str(path))
     hand = HandFile(finger=content.finger, hand=content.hand, bus=content.bus, folder=str(Path(path).parent))
-    try:
+    with placed(str(path)):
         if "dll" in hand.bus:  # python-can runs it
             raise InputError("[bus] dll: a hand file names no program; give it in python-can's configuration")
         check_hand(hand)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     return hand
 
 

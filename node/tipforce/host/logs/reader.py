@@ -27,18 +27,10 @@ class LogReader(LogNotes):
     complete at the end of the iteration. ``channels`` grows as new interfaces occur."""
 
     def __init__(
-        self,
-        source: Path | str,
-        *,
-        strict: bool = False,
-        follow: bool = False,
-        deltas: bool = False,
-        start_ns: int | None = None,
-        end_ns: int | None = None,
-        part: tuple[int, int | None] = (0, None),
-        stop: Callable[[], bool] | None = None,
-        timeout_s: float | None = None,
-    ) -> None:
+        self, source: Path | str, *, strict: bool = False, follow: bool = False, deltas: bool = False,
+        start_ns: int | None = None, end_ns: int | None = None, part: tuple[int, int | None] = (0, None),
+        stop: Callable[[], bool] | None = None, timeout_s: float | None = None,
+    ) -> None:  # fmt: skip
         """Open a log by its name and its first bytes; "-" is candump text on stdin.
 
         ``strict`` raises at the first bad line, after the frames before it. ``follow`` waits at the end of a text,
