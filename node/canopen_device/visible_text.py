@@ -7,17 +7,16 @@ _HIDDEN = (
     "\xad\u061c\u180e\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"  # bidi controls, invisible
     "\ud800-\udfff"  # lone surrogates: no encoding has them
 )
-_IN_LINES, _IN_A_LINE = re.compile(f"[{_HIDDEN}]"), re.compile(f"[\t\n{_HIDDEN}]")
 
 
 def visible_lines(text: str) -> str:
     """Return ``text`` with control and bidi characters and lone surrogates as escapes (``\\x1b``), but tab, newline."""
-    return _IN_LINES.sub(_escape, text)
+    return text if text.isprintable() else re.sub(f"[{_HIDDEN}]", _escape, text)
 
 
 def visible(text: str) -> str:
     """Return ``text`` as visible_lines() does, with tabs and newlines as escapes, too: it stays one line."""
-    return _IN_A_LINE.sub(_escape, text)
+    return text if text.isprintable() else re.sub(f"[\t\n{_HIDDEN}]", _escape, text)
 
 
 def _escape(character: re.Match[str]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -210,6 +209,8 @@ def write_events(output: str, events: Sequence[BusEvent]) -> None:
     InputError for a file of another kind, WriteError."""
     path = events_path(output)
     if events or path.exists():
+        import csv
+
         text = io.StringIO()
         rows = csv.writer(text, lineterminator="\n")
         rows.writerow(EVENT_COLUMNS)

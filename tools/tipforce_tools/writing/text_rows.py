@@ -1,6 +1,5 @@
 """Format tables as text lines, CSV and JSON lines."""
 
-import csv
 import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -172,6 +171,8 @@ def column_cells(column: Column, table: Table) -> tuple[Cells, npt.NDArray[np.bo
 
 def csv_header(columns: Sequence[Column]) -> bytes:
     """Return the header line."""
+    import csv
+
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerow(column.name for column in columns)
     return text.getvalue().encode()

@@ -2,7 +2,6 @@
 
 import glob
 import os
-import tempfile
 from collections.abc import Iterable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -121,8 +120,11 @@ class JoinedFile:
     def __init__(self, file: NewFile, kind: str, shape: Shape) -> None:
         self._partial, self._kind, self._shape = file.partial, kind, shape
         self._renamed = file.partial != file.path
-        beside_a_pipe = Path(tempfile.gettempdir(), f".{file.path.name}.{os.getpid()}.part")
-        self._beside = file.partial.absolute() if self._renamed else beside_a_pipe
+        self._beside = file.partial.absolute()
+        if not self._renamed:  # a pipe: not beside it
+            import tempfile
+
+            self._beside = Path(tempfile.gettempdir(), f".{file.path.name}.{os.getpid()}.part")
         self._parts: list[Pieces] = []
         self._added = 0
 
