@@ -157,9 +157,7 @@ def contact_columns(F: Forces, sense: FloatArray | float) -> Contact:
     undirected = (F.F1 == 0.0) & (F.F3 == 0.0)
     if undirected.any():
         phi, delta = np.where(undirected, np.nan, (phi, delta))
-    theta = phi - delta
-    theta = np.where(theta > np.pi, theta - scalar.TWO_PI, theta)
-    return Contact(P, phi, np.where(theta <= -np.pi, theta + scalar.TWO_PI, theta), delta, miss)
+    return Contact(P, phi, _wrapped(phi - delta), delta, miss)
 
 
 def deviation_columns(F: Forces, K: Covariance, sense: FloatArray | float) -> Deviations:
@@ -230,6 +228,11 @@ def _angle(y: FloatArray, x: FloatArray) -> FloatArray:
     angle_rad: FloatArray = np.arctan2(y, x)
     least = angle_rad <= -np.pi
     return np.where(least, np.pi, angle_rad) if least.any() else angle_rad
+
+
+def _wrapped(angle_rad: FloatArray) -> FloatArray:
+    down = np.where(angle_rad > np.pi, angle_rad - scalar.TWO_PI, angle_rad)
+    return np.where(down <= -np.pi, down + scalar.TWO_PI, down)
 
 
 def _deviation(K: Covariance, g1: FloatArray, g2: FloatArray | float, g3: FloatArray) -> FloatArray:
