@@ -16,7 +16,7 @@ from tipforce.host.logs.lines import LineBlocks, first_bytes, open_file
 from tipforce.host.logs.notes import MESSAGE_SUFFIXES, LogNotes, suffix_of
 
 STDIN = "-"
-_BLOCK_FRAMES = 60_000  # decoding a block costs about as much per node as a thousand frames
+_BLOCK_FRAMES = 45_000  # decoding a block costs about as much per node as a thousand frames
 _BLOCKS_AHEAD = 2
 MCAP_MAGIC = b"\x89MCAP"
 _PCAP_STARTS = (b"\xa1\xb2\xc3\xd4", b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\x4d\x3c\xb2\xa1", b"\x0a\x0d\x0d\x0a")
