@@ -12,7 +12,7 @@ bounds() {
 import re, tomllib
 project = tomllib.load(open("pyproject.toml", "rb"))["project"]
 extras = project["optional-dependencies"]
-wanted = project["dependencies"] + [one for name in ("science", "plot", "fem", "parquet", "sql", "remote", "zstd", "mcap", "ros2", "multicast") for one in extras[name]]
+wanted = project["dependencies"] + [one for name in ("science", "plot", "fem", "parquet", "sql", "remote", "zstd", "mcap", "ros2", "multicast", "slcan", "dask") for one in extras[name]]
 for name, bound in sorted({re.match(r"([\w-]+)>=([\d.]+)", one).groups() for one in wanted}):
     print(f"{name}=={bound}")
 END
@@ -27,7 +27,7 @@ esac
 shift
 "$python" -m venv "$venv"
 "$venv/bin/pip" install --quiet --upgrade --upgrade-strategy eager -c "$venv/bounds" \
-    '.[report,parquet,sql,remote,zstd,mcap,ros2,multicast]' $(dev)
+    '.[report,parquet,sql,remote,zstd,mcap,ros2,multicast,slcan,dask]' $(dev)
 "$venv/bin/pip" list --format=freeze 2>/dev/null | grep -iE "^($(bounds | sed 's/==.*//; s/-/[-_]/' | paste -sd'|'))==" | paste -sd' '
 [ $# -gt 0 ] || set -- tests/sensor tests/dictionary tests/device tests/fingertip tests/host tests/scene tests/sources \
     tests/running tests/api tests/tools --ignore=tests/tools/view/test_browser.py \
