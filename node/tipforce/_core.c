@@ -392,7 +392,7 @@ static Py_ssize_t give_rows(Join *job, Last *last, Decoded *decoded) {
     return found;
 }
 
-/* Count a frame of a complete row: lost_samples() of counters.py. */
+/* Count a frame of a complete row: losses() of sample_rule.py. */
 static void count_frame(Count *count, const Slot *slot, int64_t counter) {
     count->frames++;
     if (!slot->cyclic || !slot->modulus || (!counter && slot->modulus != SAMPLES)) /* 0 is no SYNC's latch */

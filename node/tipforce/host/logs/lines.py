@@ -306,8 +306,9 @@ class LineBlocks:
             yield storage, self._mark_bytes() if first else 0, filled
 
     def _mark_bytes(self) -> int:
+        """Return the size of the byte order mark, if there is one. Raises InputError for packed text."""
         if self._storage.startswith(PACKED):  # the first bytes of a pipe cannot be looked at beforehand
-            raise InputError(f"{self._place}: gzip or zstd in a pipe: unpack it first: `zcat LOG | tipforce decode -`")
+            raise InputError(f"{self._place}: gzip or zstd in a pipe: unpack it first, with zcat or zstdcat")
         return len(_BOM) if self._storage.startswith(_BOM) else 0
 
     def _read(self, filled: int) -> int:
