@@ -85,6 +85,11 @@ def _to_file(args: Namespace) -> bool:
     return args.output not in {None, "-"}
 
 
+def _alone(args: Namespace) -> bool:
+    """Whether the summary is all that is shown."""
+    return bool(args.summary) and args.output is None
+
+
 def _to_dataset(args: Namespace) -> bool:
     return args.output is not None and is_directory(args.output)
 
@@ -104,8 +109,8 @@ class _Run:
         layouts, signals, self._contact, self._resampled = steps_of(args)
         self._reading = replace(
             log_choice.reading(args, self.names, layouts, signals),
-            reasons=bool(args.summary or args.verbose or args.json),
-        )
+            reasons=bool(args.summary or args.verbose or args.json), rows=not _alone(args),
+        )  # fmt: skip
         # Ctrl-C ends the input of what has no end of its own, and its output is complete; a dataset is, every 2 s.
         self.stop = StopSignals() if ("-" in self.names or args.follow) and not _to_dataset(args) else None
         if self.stop is not None:
@@ -121,7 +126,7 @@ class _Run:
             self._write_dataset(advance)
         elif pieces := pieces_of(args, self._kind, self.names):
             self._write_parts(pieces, advance)
-        elif args.summary and args.output is None:
+        elif _alone(args):
             for _ in self._tables(advance):
                 pass
             _check_readable(args, self.recording)

@@ -56,6 +56,8 @@ class Reading:
     deltas: bool = False
     reasons: bool = True
     """Count the missing values by their reasons."""
+    rows: bool = True
+    """The rows are shown: unwrap their counters."""
 
     def decoder(self) -> Decoder:
         """Return a separate decoder for each bus whose layouts may change; otherwise all have one."""

@@ -181,7 +181,8 @@ class Recording:
 
     def _finished(self, tables: Iterable[Table]) -> Iterator[Table]:
         """Yield the tables with their counters unwrapped and the faults joined, none empty."""
-        return filter(len, (self._health.joined(self._counters.unwrapped(table)) for table in tables))
+        unwrapped = map(self._counters.unwrapped, tables) if self.reading.rows else tables
+        return filter(len, map(self._health.joined, unwrapped))
 
     def _see(self) -> None:
         self.unseen = self._health.unseen(self.channels) if joins(self.reading.signals) else []
