@@ -182,6 +182,14 @@ def test_a_log_that_grows_while_a_part_is_decoded_again_is_read_once_more(tmp_pa
     assert [row for table in part.rows(before, last=True) for row in texts(table)] == expected
 
 
+def test_rows_that_were_taken_are_decoded_again(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "run.log", log_lines(3000, (1, 2)))
+    part, before = DecodedPart(Piece(str(log)), READING), Recording(READING).state()
+    assert part.behind_head is not None
+    first, again = ([row for table in part.rows(before, last=True) for row in texts(table)] for _ in range(2))
+    assert first == again == one_pass(log)[0]
+
+
 def test_a_worker_that_is_killed_is_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -269,10 +269,11 @@ class DecodedPart:
         return Passed(recording.state(), recording.notes[0], self.services, headers)
 
     def rows(self, before: State, *, last: bool) -> Iterator[Table]:
-        """Return all rows that begin in this part, in order, with these arguments of ``follow``."""
+        """Yield all rows that begin in this part, in order, with these arguments of ``follow``; they are not kept."""
         if self._rows is None:  # a cluster moved the part before another copy followed
             self.follow(before, last=last)
-        return iter(self._rows or ())
+        rows, self._rows, self.kept, self.behind_head = self._rows, None, _Kept(), None
+        return iter(()) if rows is None else rows.taken()
 
 
 class _Kept:
@@ -294,6 +295,13 @@ class _Kept:
 
                 self._file = tempfile.TemporaryFile()  # noqa: SIM115 - closed after the last row
             pickle.dump(table, self._file, protocol=5)
+
+    def taken(self) -> Iterator[Table]:
+        """Yield the tables; each can be freed when the next one is asked for."""
+        self._first.reverse()
+        while self._first:
+            yield self._first.pop()
+        yield from self
 
     def __iter__(self) -> Iterator[Table]:
         yield from self._first
