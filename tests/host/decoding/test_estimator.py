@@ -65,7 +65,8 @@ def readings(seed: int) -> tuple[Calibration, Any, Any, Any]:
 
 @pytest.mark.parametrize("seed", range(48))
 def test_one_reading_a_table_and_the_function_agree(seed: int) -> None:
-    """To 1e-12, and each bit of the status. Of an ill-conditioned covariance u(theta) shows the last bit of asin."""
+    """To 1e-12, and each bit of the status. Of an ill-conditioned covariance u(theta) shows the last bit of asin, and
+    in numpy 1, whose asin differs from the one of ``math`` by two bits, four times as much."""
     calibration, microstrain, temperature, lost = readings(seed)
     estimator = Estimator(calibration)
     table = estimator(microstrain, temperature_degC=temperature, lost=0 if lost is None else lost)
@@ -73,7 +74,7 @@ def test_one_reading_a_table_and_the_function_agree(seed: int) -> None:
     np.testing.assert_array_equal(table.values, whole.values)
     np.testing.assert_array_equal(table.status, whole.status)
     tolerance = np.full(6, 1e-12)
-    tolerance[5] += 1e-16 * np.linalg.cond(calibration.covariance_F)
+    tolerance[5] += (4e-16 if np.__version__ < "2" else 1e-16) * np.linalg.cond(calibration.covariance_F)
     present = overloaded = False
     for k, row in enumerate(microstrain.tolist()):
         contact = estimator(

@@ -42,6 +42,8 @@ class Summary:
         """First and last time, of a log with times."""
         self._present = Counter[tuple[Place, str]]()  # by column: samples with a frame that carries it
         self._told = Counter[tuple[Place, str, str]]()  # by column and reason: samples whose frame has no value
+        self._places: dict[int, Place] = {}  # by key of the tables
+        self._not_told: dict[str, npt.NDArray[np.intp]] = {}  # by column, key and reason: those not in ``_told`` yet
 
     def passing(self, tables: Iterable[Table]) -> Iterator[Table]:
         """Count the tables, and return the same ones."""
@@ -53,7 +55,7 @@ class Summary:
         """Add the statistics of other tables."""
         self.samples.update(other.samples)
         self._present.update(other._present)
-        self._told.update(other._told)
+        self._told.update(other._all_told())
         for place, span in other.spans_ns.items():
             self._widen(place, *span)
 
@@ -67,6 +69,7 @@ class Summary:
         starts = np.flatnonzero(np.append(True, sorted_key[1:] != sorted_key[:-1]))
         counts = np.diff(np.append(starts, len(table)))
         places = {key: place_of(table.channels, key) for key in sorted_key[starts].tolist()}
+        self._places |= places
         spans = zip(np.minimum.reduceat(t_ns, starts).tolist(), np.maximum.reduceat(t_ns, starts).tolist(), strict=True)
         for place, count, span in zip(places.values(), counts.tolist(), spans, strict=True):
             self.samples[place] += count
@@ -84,28 +87,33 @@ class Summary:
                 there = counts if absent is None else np.add.reduceat(~absent[order], starts, dtype=np.int64)
                 for place, present in zip(places.values(), there.tolist(), strict=True):
                     self._present[place, column.name] += present
-                self._add_missing(column, table, places, causes)
+                self._add_missing(column, table, causes)
 
-    def _add_missing(
-        self, column: Column, table: Table, places: dict[int, Place], causes: npt.NDArray[np.uint16]
-    ) -> None:  # fmt: skip
+    def _add_missing(self, column: Column, table: Table, causes: npt.NDArray[np.uint16]) -> None:
         rows = np.flatnonzero(np.isnan(table.values[column.name]))
         absent = table.absent.get(column.name)
         if absent is not None:
             rows = rows[~absent[rows]]
         of_signal = [signals is None or column.signal in signals for _, _, signals in CAUSES.values()]
         reason = _FIRST[causes[rows] & sum(1 << number for number, counts in enumerate(of_signal) if counts)]
-        counts = np.bincount(table.key[rows].astype(np.intp) * len(_ORDER) + reason)
-        cells = np.flatnonzero(counts)
-        for cell, count in zip(cells.tolist(), counts[cells].tolist(), strict=True):
-            key, number = divmod(cell, len(_ORDER))
-            self._told[places[key], column.name, _ORDER[number]] += count
+        before = self._not_told.get(column.name, np.zeros(0, dtype=np.intp))
+        counts = np.bincount(table.key[rows].astype(np.intp) * len(_ORDER) + reason, minlength=len(before))
+        counts[: len(before)] += before
+        self._not_told[column.name] = counts
+
+    def _all_told(self) -> Counter[tuple[Place, str, str]]:
+        for name, counts in self._not_told.items():
+            for cell in np.flatnonzero(counts).tolist():
+                key, number = divmod(cell, len(_ORDER))
+                self._told[self._places[key], name, _ORDER[number]] += int(counts[cell])
+        self._not_told.clear()
+        return self._told
 
     def missing(self, place: Place) -> dict[str, dict[str, int]]:
         """Return by column and reason the number of samples without a value; columns never sent are left out."""
-        found = {}
+        found, all_told = {}, self._all_told()
         for name in (name for (of, name), present in self._present.items() if of == place and present):
-            told = {reason: self._told[place, name, reason] for reason in _ORDER}
+            told = {reason: all_told[place, name, reason] for reason in _ORDER}
             told[NO_FRAME] = self.samples[place] - self._present[place, name]
             if any(told.values()):
                 found[name] = {reason: count for reason, count in told.items() if count}
