@@ -198,9 +198,10 @@ def test_a_run_that_is_killed_is_completed(tmp_path: Path, lines: list[str]) -> 
     log = write_log(tmp_path / "run.log", lines)
     expected = rows_of_logs(log)
     code = (
-        "import sys\nfrom tipforce_tools.decode import dataset_run, session\n"
+        "import sys\nfrom tipforce.host.dataset import manifest\n"
+        "from tipforce_tools.decode import dataset_run, session\n"
         "from tipforce_tools.cli.main import main\n"
-        "session._DATASET_PIECE_BYTES = 60_000\ndataset_run._COMMIT_S = 0.0\ndataset_run._COMMIT_SHARE = 0\n"
+        "session._DATASET_PIECE_BYTES = 60_000\ndataset_run._COMMIT_S = 0.0\nmanifest._PARTS_PER_CHANGE = 1\n"
         "print('ready', flush=True)\nsys.stdin.readline()\nmain(sys.argv[1:])\nprint('done', flush=True)\n"
     )
     for number in range(int(os.environ.get("TIPFORCE_KILLS", "2"))):

@@ -2,14 +2,18 @@
 
 import gzip
 import os
+import random
 import signal
 from pathlib import Path
 
 import pytest
 
+from tipforce.errors import InputError
 from tipforce.host.dataset import manifest as manifests
+from tipforce.host.dataset.manifest import DataFile, Part
 from tipforce.host.dataset.reader import opened
-from tipforce.host.dataset.store import FOLDER, Store, is_dataset
+from tipforce.host.dataset.store import FOLDER, Store, generations, is_dataset
+from tipforce.host.decoding.sample_table import Column
 from tipforce_tools.cli.main import main
 from tipforce_tools.decode import dataset_run, session
 from tools.decode.logs import decode, globbed, log_lines, rows_of_dataset, rows_of_logs, write_log
@@ -17,7 +21,9 @@ from tools.decode.logs import decode, globbed, log_lines, rows_of_dataset, rows_
 
 @pytest.fixture(autouse=True)
 def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And a manifest that holds everything once per so many commits as there are parts."""
     monkeypatch.setattr(session, "_DATASET_PIECE_BYTES", 30_000)
+    monkeypatch.setattr(manifests, "_PARTS_PER_CHANGE", 1)
 
 
 @pytest.fixture(scope="module")
@@ -200,7 +206,6 @@ def test_copies_and_other_states_of_a_log(
 def test_interrupted_between_two_logs(tmp_path: Path, days: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     """The first log alone completes its own rows; all logs complete the rest."""
     monkeypatch.setattr(dataset_run, "_COMMIT_S", 0.0)
-    monkeypatch.setattr(dataset_run, "_COMMIT_SHARE", 0)
     for parts in (1, 3):  # of the first log there is one
         data = tmp_path / f"data-{parts}"
         committed: list[int] = []
@@ -233,6 +238,36 @@ def test_manifests(tmp_path: Path, days: list[Path], capsys: pytest.CaptureFixtu
     found = capsys.readouterr().err.splitlines()
     assert len(found) == 2
     assert all(says in line for line in found)
+
+
+def test_changes_of_a_manifest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two writers in turns: what is read is what was committed, in few files, most of them without what stays."""
+    monkeypatch.setattr(manifests, "_PARTS_PER_CHANGE", 10)
+    store, order = Store(str(tmp_path)), random.Random(25)
+    parts: dict[str, Part] = {}
+    seen = [manifests.Manifest(), manifests.Manifest()]
+    sizes = []
+    for number in range(150):
+        gone = order.sample(sorted(parts), min(len(parts), order.choice([0, 0, 1])))
+        files = [DataFile(f"events/{'a' * 12}-{n:014d}-1-{'b' * 12}.parquet", 1, 1, 1, "", n, n) for n in [number] * 3]
+        added = Part(f"part {number}", "a" * 12, number, number + 1, 1, {"cut": number}, files)
+        parts = {name: part for name, part in parts.items() if name not in gone} | {added.id: added}
+        column = Column(f"V{number % 50}_ustrain", "V", "real", 3, "", number)
+        writer = order.randrange(2)
+        change = manifests.Change({}, {}, set(gone), [added], [column], known=seen[writer])
+        seen[writer] = manifests.commit(store, change)
+        found = manifests.read_manifest(store)
+        assert found == seen[writer]
+        assert found.generation == number + 1
+        assert found.parts == list(parts.values())
+        assert len(found.columns) == min(number + 1, 50)
+        assert set(found.replaced) == {f"events/{'a' * 12}-{int(name[5:]):014d}-1-{'b' * 12}.parquet" for name in gone}
+        sizes.append((tmp_path / FOLDER / generations(store)[-1]).stat().st_size)
+        assert len(generations(store)) <= len(parts) // 10 + 3
+    assert sorted(sizes)[len(sizes) // 2] < 2000 < max(sizes) / 10
+    (tmp_path / FOLDER / generations(store)[0]).unlink()
+    with pytest.raises(InputError, match="a file of it is missing"):
+        manifests.read_manifest(store)
 
 
 def test_inputs_and_outputs_that_cannot_be(

@@ -78,7 +78,6 @@ def options_of(reading: Reading, hand: str | None) -> str:
 
 
 _COMMIT_S = 2.0
-_COMMIT_SHARE = 50  # a commit costs at most this part of the time between commits
 
 Cut = Callable[[str, int], list[Piece]]
 """The pieces of a log from a byte on."""
@@ -118,7 +117,7 @@ class DatasetRun:
         self._options = options_of(reading, hand)
         self._token = uuid.uuid4().hex[:12]
         self._change = Change()
-        self._committed, self._cost_s = time.monotonic(), 0.0
+        self._committed = time.monotonic()
         self._parts = 0
         self._new: list[Source] = []  # of this run
         self.added = 0
@@ -248,7 +247,7 @@ class DatasetRun:
             if last:
                 self._recording.append(recording)
             yield done
-            due = time.monotonic() - self._committed > max(_COMMIT_S, _COMMIT_SHARE * self._cost_s)
+            due = time.monotonic() - self._committed > _COMMIT_S
             if last or (due and recording.tally.messages):  # what is not a log of fingertips is not committed
                 self._commit()
 
@@ -271,19 +270,19 @@ class DatasetRun:
         self.added += 1
 
     def _commit(self) -> None:
-        began = time.monotonic()
         change, self._change = self._change, Change()
+        change.known = self.manifest
         self._separate(change)
         self.manifest = commit(self.store, change)
         for source_id in change.expected:  # a chain is committed in steps
             self._change.expected[source_id] = self.manifest.source(source_id)
         self._committed = time.monotonic()
-        self._cost_s = self._committed - began
 
     def _separate(self, change: Change) -> None:
         """Write the rows of compacted parts again that share files with the parts that are removed."""
         removed = [part for part in self.manifest.parts if part.id in change.removed]
-        gone = {file.path: file for file in files_of(removed)}
+        if not (gone := {file.path: file for file in files_of(removed)}):
+            return
         stay = [part for part in self.manifest.parts if part.id not in change.removed]
         stay = [part for part in stay if any(file.path in gone for file in files_of([part]))]
         if stay:

@@ -209,7 +209,7 @@ def compact(store: Store) -> Manifest:
     with run_lock(store, token):
         for number, parts in enumerate(_groups(store, manifest)):
             name = f"{parts[0].source}-{parts[0].start:014d}-{number}-{token}"
-            change = Change(parts=joined_parts(store, manifest, parts, name))
+            change = Change(parts=joined_parts(store, manifest, parts, name), known=manifest)
             change.removed.update(part.id for part in parts)
             manifest = commit(store, change)
     return manifest

@@ -1,6 +1,6 @@
 """The manifest of a dataset: parts of logs, their files, and where each log continues; one JSON file per generation in
-``DIR/_tipforce``. A generation is created only once: of two writers one commits, the other merges its changes, or gives
-up if both changed the same log."""
+``DIR/_tipforce``. A generation holds everything, or what it changes. It is created only once: of two writers one
+commits, the other merges its changes, or gives up if both changed the same log."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from tipforce.host.decoding.recording import State
 from tipforce.host.decoding.sample_table import Column
 
 ROWS, EVENTS = "rows", "events"
-FORMAT = 2
+FORMAT, CHANGED_FORMAT = 2, 3
+"""Of a generation that holds everything, and of one that holds what changed."""
 _NAME = "manifest-{:010d}.json"
 NO_DATE = "__HIVE_DEFAULT_PARTITION__"
 """Of a log without times; query engines read it as null."""
@@ -31,6 +32,7 @@ FilePath = Annotated[str, msgspec.Meta(pattern=rf"\A{_PLACE}/{_SOURCE}-\d{{14,}}
 """Of a file that a run writes: no other is read, and no other removed."""
 SourceId = Annotated[str, msgspec.Meta(pattern=rf"\A{_SOURCE}\Z")]
 _KEPT_GENERATIONS = 2  # for readers that have just listed them
+_PARTS_PER_CHANGE = 1000  # one change for so many parts, then all again: the mean cost of a commit does not grow
 
 
 class DataFile(msgspec.Struct, frozen=True, array_like=True):
@@ -107,7 +109,7 @@ class Source(msgspec.Struct, frozen=True):
 
 
 class Manifest(msgspec.Struct):
-    """Everything that a dataset holds."""
+    """Everything that a dataset holds; in a file of ``CHANGED_FORMAT`` what one generation adds, and ``removed``."""
 
     format: int = FORMAT
     generation: int = 0
@@ -117,6 +119,10 @@ class Manifest(msgspec.Struct):
     """Of all files, in order."""
     replaced: list[FilePath] = []
     """Files of parts that this generation replaced: a writer that ended before it removed them leaves them behind."""
+    since: int = 0
+    """The last generation whose file holds everything."""
+    removed: list[str] = []
+    """Ids of parts."""
 
     def source(self, source_id: str | None) -> Source | None:
         """Return a log by its id."""
@@ -149,59 +155,85 @@ class Change:
     """Ids of parts."""
     parts: list[Part] = field(default_factory=list)
     columns: list[Column] = field(default_factory=list)
+    known: Manifest = field(default_factory=Manifest)
+    """The manifest as the writer has it, which is not read again if it is the newest."""
 
-    def applied(self, manifest: Manifest) -> Manifest:
-        """Return the manifest with the change. Raises WriteError if another writer changed the same logs or parts."""
+    def after(self, manifest: Manifest) -> Manifest:
+        """Return the next generation's changes. Raises WriteError if another writer changed the same logs or parts."""
         for source_id, before in self.expected.items():
             now = manifest.source(source_id)
             if (now and (now.size, now.flushed)) != (before and (before.size, before.flushed)):
                 name = (now or before or self.sources[source_id]).name
                 raise WriteError(f"{name}: another run has added it meanwhile; run again to add what is still missing")
-        if self.removed - {part.id for part in manifest.parts}:
+        gone = [part for part in manifest.parts if part.id in self.removed]
+        if len(gone) < len(self.removed):
             raise WriteError("another run has replaced the same parts meanwhile; run again if work is left")
         known = {column.name for column in manifest.columns}
-        after = Manifest(
-            FORMAT,
-            manifest.generation + 1,
-            list(({source.id: source for source in manifest.sources} | self.sources).values()),
-            [part for part in manifest.parts if part.id not in self.removed] + self.parts,
-            manifest.columns + [column for column in self.columns if column.name not in known],
-        )
-        after.replaced = sorted(manifest.paths() - after.paths())
+        columns = [column for column in self.columns if column.name not in known]
+        after = Manifest(CHANGED_FORMAT, manifest.generation + 1, list(self.sources.values()), self.parts, columns)
+        after.since, after.removed = manifest.since, sorted(self.removed)
+        if gone:
+            after.replaced = sorted({file.path for file in files_of(gone)} - with_changes(manifest, [after]).paths())
         return after
 
 
-def read_manifest(store: Store) -> Manifest | None:
-    """Return the newest generation; None for a directory that is no dataset. Raises InputError for a damaged one."""
+def with_changes(manifest: Manifest, changes: Iterable[Manifest]) -> Manifest:
+    """Return a manifest with the changes of the generations that follow it."""
+    sources = {source.id: source for source in manifest.sources}
+    parts = {part.id: part for part in manifest.parts}
+    columns, last = list(manifest.columns), manifest
+    for last in changes:
+        sources.update((source.id, source) for source in last.sources)
+        for part_id in last.removed:
+            parts.pop(part_id, None)
+        parts.update((part.id, part) for part in last.parts)
+        columns += last.columns
+    everything = list(sources.values()), list(parts.values()), columns, last.replaced
+    return Manifest(FORMAT, last.generation, *everything, manifest.since)
+
+
+def read_manifest(store: Store, known: Manifest | None = None) -> Manifest | None:
+    """Return the newest generation, ``known`` if it is this one; None for a directory that is no dataset. Raises
+    InputError for a damaged one."""
     for _ in range(3):  # an old generation may vanish between the list and the read
         names = generations(store)
         if not names:
             return None
-        try:
-            with store.open(f"{FOLDER}/{names[-1]}") as file:
-                text = file.read()
-        except FileNotFoundError:
-            continue
-        place = f"{store.name}/{FOLDER}/{names[-1]}"
-        try:
-            manifest = msgspec.json.decode(text, type=Manifest)
-            if manifest.format == FORMAT and names[-1] == _NAME.format(manifest.generation):
-                return manifest
-            reason = f"format {manifest.format}, this tipforce reads {FORMAT}; generation {manifest.generation}"
-        except msgspec.MsgspecError as error:
-            reason = re.sub("matching regex .* - at", "with the name of a log or a file of a dataset, at", str(error))
-        with suppress(msgspec.MsgspecError):
-            sources = msgspec.json.decode(text, type=_Earlier).sources
-            logs = ", ".join([str(source.get("name", "")) for source in sources[:3]] + ["..."] * (len(sources) > 3))
-            raise InputError(
-                f"{store.name}: an earlier tipforce wrote this dataset, in a layout that pandas and Polars do not "
-                f"open: `tipforce decode LOGS -o NEW/` writes its logs again ({logs})"
-            )
+        if known is not None and names[-1] == _NAME.format(known.generation):
+            return known
+        with suppress(FileNotFoundError):
+            newest = _read(store, names[-1])
+            chain = [_read(store, _NAME.format(number)) for number in range(newest.since, newest.generation)]
+            if all(file.since == newest.since for file in chain):
+                return with_changes(chain[0], [*chain[1:], newest]) if chain else newest
+    raise InputError(f"{store.name}: its manifest changes too fast to be read, or a file of it is missing; try again")
+
+
+def _read(store: Store, name: str) -> Manifest:
+    """Read the file of a generation. Raises InputError, FileNotFoundError."""
+    with store.open(f"{FOLDER}/{name}") as file:
+        text = file.read()
+    try:
+        manifest = msgspec.json.decode(text, type=Manifest)
+        if manifest.format == FORMAT:
+            manifest.since = manifest.generation
+        is_change = manifest.format == CHANGED_FORMAT and 0 < manifest.since < manifest.generation
+        if (manifest.format == FORMAT or is_change) and name == _NAME.format(manifest.generation):
+            return manifest
+        reason = f"format {manifest.format}, this tipforce reads {FORMAT}; generation {manifest.generation}"
+    except msgspec.MsgspecError as error:
+        reason = re.sub("matching regex .* - at", "with the name of a log or a file of a dataset, at", str(error))
+    with suppress(msgspec.MsgspecError):
+        sources = msgspec.json.decode(text, type=_Earlier).sources
+        logs = ", ".join([str(source.get("name", "")) for source in sources[:3]] + ["..."] * (len(sources) > 3))
         raise InputError(
-            f"{place}: not a manifest that this tipforce reads ({reason}): update it if a newer one wrote the dataset; "
-            "otherwise put back a copy of the file, or decode the logs again into another directory"
+            f"{store.name}: an earlier tipforce wrote this dataset, in a layout that pandas and Polars do not "
+            f"open: `tipforce decode LOGS -o NEW/` writes its logs again ({logs})"
         )
-    raise InputError(f"{store.name}: its manifest changes too fast to be read; try again")
+    raise InputError(
+        f"{store.name}/{FOLDER}/{name}: not a manifest that this tipforce reads ({reason}): update it if a newer one "
+        "wrote the dataset; otherwise put back a copy of the file, or decode the logs again into another directory"
+    )
 
 
 class _Earlier(msgspec.Struct):
@@ -212,17 +244,20 @@ class _Earlier(msgspec.Struct):
 
 
 def commit(store: Store, change: Change) -> Manifest:
-    """Add a change as the next generation, and remove what it replaces. Raises WriteError as ``Change.applied`` does,
+    """Add a change as the next generation, and remove what it replaces. Raises WriteError as ``Change.after`` does,
     OSError."""
     while True:
-        before = read_manifest(store) or Manifest()
+        before = read_manifest(store, change.known) or Manifest()
         remove_replaced(store, before)  # of a writer that ended: no later generation names these files
-        manifest = change.applied(before)
-        name = f"{FOLDER}/{_NAME.format(manifest.generation)}"
-        if store.create(name, msgspec.json.encode(manifest)):
+        written = change.after(before)
+        manifest = with_changes(before, [written])
+        if not before.since or manifest.generation - before.since > len(manifest.parts) // _PARTS_PER_CHANGE:
+            manifest.since, written = manifest.generation, manifest
+        if store.create(f"{FOLDER}/{_NAME.format(manifest.generation)}", msgspec.json.encode(written)):
             break
     for old in generations(store)[:-_KEPT_GENERATIONS]:
-        store.remove(f"{FOLDER}/{old}")
+        if old < _NAME.format(manifest.since):
+            store.remove(f"{FOLDER}/{old}")
     remove_replaced(store, manifest)
     return manifest
 
