@@ -254,7 +254,7 @@ def test_changes_of_a_manifest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         parts = {name: part for name, part in parts.items() if name not in gone} | {added.id: added}
         column = Column(f"V{number % 50}_ustrain", "V", "real", 3, "", number)
         writer = order.randrange(2)
-        change = manifests.Change({}, {}, set(gone), [added], [column], known=seen[writer])
+        change = manifests.Change({}, set(gone), [added], [column], seen[writer])
         seen[writer] = manifests.commit(store, change)
         found = manifests.read_manifest(store)
         assert found == seen[writer]

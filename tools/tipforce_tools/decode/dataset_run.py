@@ -226,7 +226,6 @@ class DatasetRun:
         pieces: list[Piece] = []
         logs: list[_Log] = []
         for log in chain.logs:
-            self._change.expected.setdefault(log.source.id, self.manifest.source(log.source.id))
             self._change.removed.update(log.replaced)
             log.size = os.path.getsize(log.source.name)  # a log that cannot be cut may grow while it is read
             for piece in self._cut(log.source.name, log.start):
@@ -274,8 +273,6 @@ class DatasetRun:
         change.known = self.manifest
         self._separate(change)
         self.manifest = commit(self.store, change)
-        for source_id in change.expected:  # a chain is committed in steps
-            self._change.expected[source_id] = self.manifest.source(source_id)
         self._committed = time.monotonic()
 
     def _separate(self, change: Change) -> None:

@@ -147,23 +147,21 @@ class Manifest(msgspec.Struct):
 
 @dataclass(slots=True)
 class Change:
-    """What a writer adds to a manifest. ``expected``: the logs as it has read them, None for new ones."""
+    """What a writer adds to the manifest that it has ``known``, which is not read again if it is the newest."""
 
-    expected: dict[str, Source | None] = field(default_factory=dict)
     sources: dict[str, Source] = field(default_factory=dict)
     removed: set[str] = field(default_factory=set)
     """Ids of parts."""
     parts: list[Part] = field(default_factory=list)
     columns: list[Column] = field(default_factory=list)
     known: Manifest = field(default_factory=Manifest)
-    """The manifest as the writer has it, which is not read again if it is the newest."""
 
     def after(self, manifest: Manifest) -> Manifest:
         """Return the next generation's changes. Raises WriteError if another writer changed the same logs or parts."""
-        for source_id, before in self.expected.items():
-            now = manifest.source(source_id)
+        for source_id, source in self.sources.items():
+            before, now = self.known.source(source_id), manifest.source(source_id)
             if (now and (now.size, now.flushed)) != (before and (before.size, before.flushed)):
-                name = (now or before or self.sources[source_id]).name
+                name = (now or before or source).name
                 raise WriteError(f"{name}: another run has added it meanwhile; run again to add what is still missing")
         gone = [part for part in manifest.parts if part.id in self.removed]
         if len(gone) < len(self.removed):
