@@ -222,6 +222,9 @@ def test_path_that_cannot_be_a_store_is_refused_with_what_to_do(tmp_path: Path) 
         FileStore(tmp_path)
     with pytest.raises(InputError, match="does not exist; create it first"):
         FileStore(tmp_path / "missing" / "node.json")
+    (tmp_path / "node.toml").write_text("[node]\nid = 5\n")
+    with pytest.raises(InputError, match="is not a store of a node; give the name of a new file"):
+        FileStore(tmp_path / "node.toml")
 
 
 def test_calibration_group_of_another_number_of_gauges_is_not_taken(tmp_path: Path) -> None:

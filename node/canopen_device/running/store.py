@@ -28,7 +28,7 @@ class FileStore:
 
     A save replaces the lower number: temporary file, fsync, rename, fsync of the directory. A corrupt slot is logged,
     and the other applies; without an intact one the readable groups are returned: the device checks the CRC of each.
-    Raises InputError if ``path`` is a directory or in none."""
+    Raises InputError if ``path`` is a directory, in none, or a text of others, which a save would replace."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path = Path(path).absolute()
@@ -36,6 +36,10 @@ class FileStore:
             raise InputError(f"store {self._path}: is a directory; give the name of a file, for example node-5.json")
         if not self._path.parent.is_dir():
             raise InputError(f"store {self._path}: the directory {self._path.parent} does not exist; create it first")
+        with contextlib.suppress(OSError):
+            text = self._path.read_bytes()
+            if b"\n" in text and not text.startswith(b"{") and b'"groups"' not in text:
+                raise InputError(f"store {self._path}: is not a store of a node; give the name of a new file")
         self._paths = self._path, self._path.with_name(self._path.name + ".2")
         self._temporary = self._path.with_name(self._path.name + ".new")
         self._said: set[str] = set()  # each fault is logged once, until a save succeeds
