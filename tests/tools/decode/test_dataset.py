@@ -12,6 +12,7 @@ import threading
 import time
 import warnings
 from pathlib import Path
+from unittest.mock import Mock
 
 import pyarrow.parquet as pq
 import pytest
@@ -21,7 +22,7 @@ from tipforce.host.dataset import manifest as manifests
 from tipforce.host.dataset.reader import opened, tally
 from tipforce.host.dataset.store import FOLDER, Store, is_dataset
 from tipforce_tools.cli.main import main
-from tipforce_tools.decode import session
+from tipforce_tools.decode import dataset_run, session
 from tools.decode.logs import decode, globbed, log_lines, rows_of, rows_of_dataset, rows_of_logs, write_log
 from tools.rig import until
 
@@ -67,6 +68,17 @@ def test_a_day_is_added_and_counters_go_on(tmp_path: Path, lines: list[str]) -> 
     other = write_log(tmp_path / "other.log", [line.replace("(17000", "(17001") for line in lines[:500]])
     assert decode(other, "-o", f"{data}/", "--hand", "vcan0") == 0
     assert {path.split("/")[2] for path in globbed(data)} == {"date=2023-11-14", "date=2023-11-16"}
+
+
+def test_many_logs_are_known_again_in_few_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lines = log_lines(8, (1, 5))
+    logs = [write_log(tmp_path / f"run-{k:02d}.log", lines[k % 3 :]) for k in range(3)]
+    logs += [write_log(tmp_path / f"late-{k:02d}.log", [f"({k}.5) can0 185#{k:04X}", *lines]) for k in range(30)]
+    assert decode(*logs, "-j", 1, "-o", f"{tmp_path}/data/") == 0
+    counted = Mock(side_effect=dataset_run.hash_of)
+    monkeypatch.setattr(dataset_run, "hash_of", counted)
+    assert decode(*logs, "-j", 1, "-o", f"{tmp_path}/data/") == 0
+    assert 0 < counted.call_count < 20 * len(logs)
 
 
 def test_readers(tmp_path: Path, lines: list[str], capsys: pytest.CaptureFixture[str]) -> None:

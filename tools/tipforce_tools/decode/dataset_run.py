@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cache, partial
 from pathlib import Path
 
 import msgspec
@@ -172,10 +173,11 @@ class DatasetRun:
     def _known(self, name: str) -> Source | None:
         """Return the log if the dataset has it, by its content. Raises InputError if it was decoded in another way."""
         size, found, longer = os.path.getsize(name), None, None
+        head_sha256 = cache(partial(hash_of, name, 0))  # the sources are many, their sizes of heads are few
         for source in self.manifest.sources:
             if not source.size and size and source.name != str(name):
                 continue  # every log begins like an empty one
-            if size < source.head_bytes or hash_of(name, 0, source.head_bytes) != source.head_sha256:
+            if size < source.head_bytes or head_sha256(source.head_bytes) != source.head_sha256:
                 continue
             if size < source.size:
                 longer = source
