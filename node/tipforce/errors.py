@@ -1,10 +1,22 @@
 """Errors of tipforce: each message names the place, the value and what is allowed."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from canopen_device.errors import CanopenDeviceError as TipforceError
 from canopen_device.errors import EnvironmentLackError, InputError, placed
 
 __all__ = ["DuplicateNodeError", "EnvironmentLackError", "InputError", "LogError", "NoNewSampleError"]
-__all__ += ["NoResponseError", "RefusedError", "SdoAbortError", "TipforceError", "WriteError", "placed"]
+__all__ += ["NoResponseError", "RefusedError", "SdoAbortError", "TipforceError", "WriteError", "needing", "placed"]
+
+
+@contextmanager
+def needing(lack: str) -> Iterator[None]:
+    """Raise EnvironmentLackError with the text ``lack`` for a package that the block cannot import."""
+    try:
+        yield
+    except ImportError:
+        raise EnvironmentLackError(lack) from None
 
 
 class LogError(InputError):

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from tipforce.errors import EnvironmentLackError
+from tipforce.errors import needing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,11 +18,8 @@ _PLAIN = {"axes.grid": True, "axes.axisbelow": True, "axes.spines.top": False, "
 @contextmanager
 def plotting(style: Mapping[str, Any], extra: str = "plot") -> Iterator[None]:
     """Apply a style of matplotlib settings. Raises EnvironmentLackError, which names ``extra``, without matplotlib."""
-    try:
+    with needing(f'figures need matplotlib, which is not installed: pip install "tipforce[{extra}]"'):
         import matplotlib
-    except ImportError:
-        lack = f'figures need matplotlib, which is not installed: pip install "tipforce[{extra}]"'
-        raise EnvironmentLackError(lack) from None
     settings: Any = {**_REPRODUCIBLE, **_PLAIN, "figure.constrained_layout.use": True, **style}
     with matplotlib.rc_context(settings):
         yield

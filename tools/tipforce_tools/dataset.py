@@ -10,7 +10,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.errors import InputError, needing
 from tipforce.host.dataset.store import FOLDER, Store
 from tipforce_tools.cli import common
 from tipforce_tools.cli.common import shown_id
@@ -189,10 +189,8 @@ def run_sql(args: argparse.Namespace) -> int:
     from tipforce.host.dataset.reader import damaged, opened, wrong_files
 
     store, manifest = opened(args.directory)
-    try:
+    with needing("dataset sql needs DuckDB: `pip install 'tipforce[sql]'`"):
         import duckdb
-    except ImportError:
-        raise EnvironmentLackError("dataset sql needs DuckDB: `pip install 'tipforce[sql]'`") from None
     connection = duckdb.connect()
     try:
         views(connection, store, manifest)

@@ -15,7 +15,7 @@ import numpy as np
 
 from canopen_device.core.codes import EMCY_BASE
 from tipforce.arrays import BoolArray, FloatArray
-from tipforce.errors import EnvironmentLackError, WriteError
+from tipforce.errors import EnvironmentLackError, WriteError, needing
 from tipforce.host.frames.frame_array import FRAME, FrameArray, RawFrame, frame_array
 from tipforce.output_file import CANDUMP_LOG, CSV, FIGURES, NewFile, new_file, save_figure
 from tipforce.samples.reasons import CAUSES
@@ -266,10 +266,8 @@ def write_table(path: str, messages: Mapping[tuple[int, str], Samples]) -> None:
 
 def write_plot(path: str, title: str, contacts: Mapping[int, Contact]) -> None:
     """Plot P, phi, theta per finger. Raises EnvironmentLackError without matplotlib, InputError for the path."""
-    try:
+    with needing("plot: matplotlib is not installed: pip install 'tipforce[plot]'"):
         from matplotlib.figure import Figure
-    except ImportError:
-        raise EnvironmentLackError("plot: matplotlib is not installed: pip install 'tipforce[plot]'") from None
     figure = Figure(figsize=(13.0, 2.2 * len(contacts) + 1.0), layout="constrained")
     axes = figure.subplots(len(contacts), 3, sharex=True, squeeze=False)
     for row, (node_id, contact) in zip(axes, contacts.items(), strict=True):

@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from tipforce.arrays import FloatArray
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.errors import InputError, needing
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS
 from tipforce.sensor.structure.plane_frame import AnyArray, slit_compliance
 from tipforce.sensor.structure.strain import FABRICATED, GaugePosition, Geometry
@@ -190,10 +190,8 @@ def mixed(parts: Sequence[tuple[float, Score]]) -> Score:
 
 def improve(problem: Problem, goal: Score, x: FloatArray) -> tuple[float, FloatArray] | None:
     """Return the local optimum near x as (score, point), or None. Raises EnvironmentLackError without scipy."""
-    try:
+    with needing("scipy is not installed: pip install 'tipforce[science]'"):
         from scipy.optimize import minimize
-    except ImportError:
-        raise EnvironmentLackError("scipy is not installed: pip install 'tipforce[science]'") from None
     scale = problem.scale
     step = 1e-30j * np.diag(scale)
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.arrays import FloatArray, floats
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.errors import InputError, needing
 from tipforce.sensor.dynamics.first_order_hold import State, checked_loads
 from tipforce.sensor.dynamics.model import Modes
 from tipforce_lab.dynamics.switched import March, SlitStop, Switched, Touch
@@ -217,10 +217,8 @@ class _HertzRun:
 
     def contact(self) -> None:
         """Integrate from contact to separation, or to the end of the run."""
-        try:
+        with needing('Hertzian contact needs scipy: pip install "tipforce[science]"'):
             from scipy.integrate import solve_ivp
-        except ImportError as error:
-            raise EnvironmentLackError('Hertzian contact needs scipy: pip install "tipforce[science]"') from error
 
         def parting(_: float, X: FloatArray) -> float:
             return float(self._overlap @ X)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.errors import InputError, needing
 from tipforce.sensor.structure.layouts import GAUGE_LENGTH_M
 from tipforce.sensor.structure.plane_frame import POISSON_RATIO
 from tipforce.sensor.structure.strain import Gauge, GaugePosition, gauge_name, place
@@ -74,11 +74,9 @@ class Solution:
 
 def solve(model: Model) -> Solution:
     """Solve for three loads. Raises InputError if the patch holds no side of the mesh, EnvironmentLackError."""
-    try:
+    with needing(f"finite elements need scikit-fem: {HOW_TO_INSTALL}"):
         from scipy.sparse.linalg import splu
         from skfem import Basis, ElementTriP2, ElementVector, MeshTri
-    except ImportError:
-        raise EnvironmentLackError(f"finite elements need scikit-fem: {HOW_TO_INSTALL}") from None
     triangles = triangulate(model.outline, model.resolution)
     mesh = MeshTri(triangles.points_m, triangles.corners)
     # Strain is linear in a P2 triangle: order 2 integrates the energy exactly.

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.errors import InputError, needing
 from tipforce.host.decoding.log import Log
 from tipforce.samples.contact import Contact
 
@@ -33,10 +33,8 @@ _GAP_PERIODS = 1.5  # between two samples of a window: more is a gap
 
 def observation_space(fingers: int) -> spaces.Dict:
     """Return the space of ``observation``. Raises InputError below 1 finger, EnvironmentLackError without gymnasium."""
-    try:
+    with needing('gymnasium is not installed: pip install "tipforce[gymnasium]"'):
         from gymnasium import spaces
-    except ImportError:
-        raise EnvironmentLackError('gymnasium is not installed: pip install "tipforce[gymnasium]"') from None
     if fingers < 1:
         raise InputError(f"fingers = {fingers}: allowed is 1 or more")
     largest = np.tile(LARGEST, (fingers, 1))

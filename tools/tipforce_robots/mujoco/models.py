@@ -11,7 +11,7 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.errors import InputError, needing
 from tipforce.sensor.dynamics.model import HIGHEST_DAMPING_RATIO, compliances, half_cylinder, modes
 from tipforce.sensor.structure.plane_frame import Frame
 from tipforce.sensor.structure.strain import FABRICATED, Geometry
@@ -176,10 +176,8 @@ def hand_model() -> mujoco.MjModel:
 
 
 def _with_fingertips(text: str, fingers: Sequence[str], rigid: bool) -> mujoco.MjModel:
-    try:
+    with needing('MuJoCo is not installed: pip install "tipforce[mujoco]"'):
         import mujoco
-    except ImportError:
-        raise EnvironmentLackError('MuJoCo is not installed: pip install "tipforce[mujoco]"') from None
     spec = mujoco.MjSpec.from_string(text)
     for finger in fingers:
         tip = mujoco.MjSpec.from_string(fingertip_mjcf(rigid=rigid))

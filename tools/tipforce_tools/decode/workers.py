@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from tipforce.errors import EnvironmentLackError, TipforceError
+from tipforce.errors import EnvironmentLackError, TipforceError, needing
 from tipforce.host.decoding.log_part import Piece, Reading, StrictError
 from tipforce.host.decoding.recording import DecodedPart, Passed, Recording, State, decode_after
 from tipforce.host.decoding.sample_table import Table
@@ -309,10 +309,8 @@ class Cluster(Workers):
 
     def __init__(self, scheduler: str, reading: Reading, sink: Sink) -> None:
         """Raises EnvironmentLackError without Dask or without a response of the scheduler."""
-        try:
+        with needing("--scheduler needs Dask: `pip install 'tipforce[dask]'`"):
             import distributed
-        except ImportError:
-            raise EnvironmentLackError("--scheduler needs Dask: `pip install 'tipforce[dask]'`") from None
         try:
             self._client: Any = distributed.Client(scheduler, timeout=CONNECT_S)
         except (OSError, ValueError) as error:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from canopen_device.paths_below import below, is_below
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.errors import EnvironmentLackError, InputError, needing
 
 FOLDER = "_tipforce"
 """Of the manifests, in a dataset."""
@@ -180,10 +180,8 @@ def url_of(path: str) -> str:
 
 def filesystem(url: str) -> tuple[Any, str]:
     """Return fsspec's file system of a URL, and the path in it. Raises as ``Store`` does."""
-    try:
+    with needing(f"{url}: a URL needs fsspec: `pip install 'tipforce[remote]'`"):
         import fsspec.core
-    except ImportError:
-        raise EnvironmentLackError(f"{url}: a URL needs fsspec: `pip install 'tipforce[remote]'`") from None
     try:
         files, path = fsspec.core.url_to_fs(url)
     except ImportError as error:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray, occurring
 from tipforce.dictionary import table
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.errors import EnvironmentLackError, InputError, needing
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.contact_columns import VALUES, History, of_samples
 from tipforce.host.decoding.estimator import Contacts, prepared
@@ -133,10 +133,8 @@ class Log(Mapping[int, NodeLog]):
 
 
 def _pyarrow() -> Any:
-    try:
+    with needing("to_arrow needs pyarrow: `pip install 'tipforce[parquet]'`"):
         import pyarrow
-    except ImportError:
-        raise EnvironmentLackError("to_arrow needs pyarrow: `pip install 'tipforce[parquet]'`") from None
     return pyarrow
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
-from tipforce.errors import EnvironmentLackError, InputError, LogError
+from tipforce.errors import InputError, LogError, needing
 from tipforce.host.frames.frame_array import PACK_FRAME
 from tipforce.host.frames.frame_block import BIT_RATE_SWITCH, ERROR_STATE, CandumpBlock, FdFrame
 from tipforce.host.logs.lines import MOST_CHUNK_BYTES, Expansion, open_file, row_blocks, unpacked_chunk
@@ -148,10 +148,8 @@ _CDR_HEADER = 4
 def mcap_blocks(path: Path, notes: LogNotes) -> Iterator[CandumpBlock]:
     """Yield blocks of frames in the order of the file. A damaged file is noted as bad. Raises EnvironmentLackError
     without the package mcap, LogError for a file that has no CAN frames."""
-    try:
+    with needing(f"{path} is MCAP: `pip install 'tipforce[mcap]'`"):
         from mcap.stream_reader import StreamReader
-    except ImportError:
-        raise EnvironmentLackError(f"{path} is MCAP: `pip install 'tipforce[mcap]'`") from None
     empty = True
     with path.open("rb") as stream:
         reader = StreamReader(stream, emit_chunks=True, record_size_limit=MOST_CHUNK_BYTES)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from tipforce.errors import EnvironmentLackError, InputError, LogError, TipforceError
+from tipforce.errors import EnvironmentLackError, InputError, LogError, TipforceError, needing
 from tipforce.host.frames.frame_block import CandumpBlock, FdFrame, gathered
 from tipforce.host.logs.notes import NO_LINE, UNREADABLE, LogNotes
 
@@ -148,10 +148,8 @@ class _Zstd(_Source):
     """Unpack zstd in steps of bounded size. zstandard's own stream reader does not detect a truncated file."""
 
     def __init__(self, file: FileIO, place: str) -> None:
-        try:
+        with needing(f"{place} is zstd: `pip install 'tipforce[zstd]'`, or unpack it first"):
             import zstandard
-        except ImportError:
-            raise EnvironmentLackError(f"{place} is zstd: `pip install 'tipforce[zstd]'`, or unpack it first") from None
         super().__init__(file)
         self._expansion = Expansion(place)
         self._library = zstandard
