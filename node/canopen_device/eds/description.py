@@ -11,6 +11,7 @@ from canopen_device.types import TYPES, DataType, Value
 
 NULL, DOMAIN, DEFTYPE, DEFSTRUCT, VAR, ARRAY, RECORD = 0, 2, 5, 6, 7, 8, 9  # object codes (CiA 301, 7.4.3)
 READ_ONLY, CONSTANT = "ro", "const"
+REFUSE_WRITE, REFUSE_READ = 1, 2  # of ObjFlags: not to be written on download, not to be read on scan (CiA 306-1)
 _NUMERIC = re.compile(
     r"(?:0[xX]([0-9a-fA-F]{1,4})|([0-9a-fA-F]{1,4})[hH])(?:\s*[:./]\s*(?:0[xX])?([0-9a-fA-F]{1,2})[hH]?)?"
 )

@@ -172,6 +172,7 @@ IN_ORDER = {
         '"0x1A01:02" = 0x21200008',
         [(0x1801, 1, 0x80000003), (0x1A01, 0, 0), (0x1A01, 2, 0x21200008), (0x1A01, 0, 3), (0x1801, 1, 3)],
     ),
+    "off before its identifier changes": ('"emcy.cob_id" = 0x90', [(0x1014, 0, 0x80000090), (0x1014, 0, 0x90)]),
     "switched off, it stays off": ('"rpdo1.cob_id" = 0x80000205', [(0x1400, 1, 0x80000205)] * 2),
 }  # fmt: skip
 

@@ -26,13 +26,14 @@ def read_settings(
     sdo: SdoChannel, objects: DeviceObjects, advance: Callable[[], None] = lambda: None
 ) -> dict[Place, Value]:
     """Return every setting that a node has; ``advance()`` after each. Raises NoResponseError, for a fingertip also
-    SdoAbortError. What another device does not give as in its EDS, or a text outside ASCII, is left out."""
+    SdoAbortError. What another device does not give as in its EDS, or a text shown with escapes, is left out."""
     values: dict[Place, Value] = {}
     for place, entry in objects.settings.items():
         try:
             content = sdo.upload(*place)
-            if entry.type != "s" or content.isascii():
-                values[place] = entry.decode(content)
+            value = entry.decode(content)
+            if entry.type not in "su" or entry.encode(value).rstrip(b"\0") == content.rstrip(b"\0"):
+                values[place] = value
         except (SdoAbortError, InputError) as error:
             is_missing = isinstance(error, SdoAbortError) and error.code == codes.NO_OBJECT
             if isinstance(objects, FingertipObjects) and not is_missing:
@@ -44,7 +45,7 @@ def read_settings(
 def changed_settings(settings: Mapping[Place, Value], objects: DeviceObjects) -> dict[Place, Value]:
     """Return the settings that differ from their default; of a remapped PDO its whole mapping."""
     known = objects.settings
-    changed = {place for place, value in settings.items() if not _same(known[place], value, known[place].default)}
+    changed = {place for place, value in settings.items() if not same(known[place], value, known[place].default)}
     remapped = {index for index, _ in changed if communication.is_mapping(index)}
     return {
         (index, sub): value
@@ -59,7 +60,7 @@ def compare(node: Mapping[Place, Value], wanted: Configuration, objects: DeviceO
     differences = []
     for place in sorted({*changed_settings(node, objects), *wanted} & objects.settings.keys()):
         entry, here, there = objects.settings[place], node.get(place), wanted[place][1] if place in wanted else None
-        if here is None or there is None or not _same(entry, here, there):
+        if here is None or there is None or not same(entry, here, there):
             node_has, file_has = (v if v is None else types.format_value(entry.type, v) for v in (here, there))
             differences.append({"name": entry.name, "entry": str(entry), "node": node_has, "other": file_has})
     return differences
@@ -82,12 +83,13 @@ def settings_toml(settings: Mapping[Place, Value], objects: DeviceObjects, node_
         elif sub == 0:
             words = [int(settings[index, k]) for k in range(1, int(value) + 1) if (index, k) in settings]
             array = known[index, 1].stem if (index, 1) in known else f"0x{index:04X}"
-            written[array] = [objects.name(word >> 16, word >> 8 & 0xFF) or word for word in words]
+            named = [objects.name(word >> 16, word >> 8 & 0xFF) or word for word in words]
+            written[array] = [n if _mapped(n, objects) == word else word for n, word in zip(named, words, strict=True)]
     return tomli_w.dumps({"objects": written}, multiline_strings=False)
 
 
-def _same(entry: Entry[Value], a: Value, b: Value) -> bool:
-    """Whether both are equal on the wire: a REAL32 default is compared as REAL32."""
+def same(entry: Entry[Value], a: Value, b: Value) -> bool:
+    """Return whether both are equal on the wire: a REAL32 default is compared as REAL32."""
     try:
         return entry.encode(a) == entry.encode(b)
     except InputError:  # an EDS may have a default that its type does not
@@ -120,7 +122,7 @@ def read_configuration(
         from canopen_device.eds.reader import read_eds
 
         described = [entry for entry in read_eds(path, node_id).entries() if entry.value is not None]
-        stated = [(entry.place, entry.value) for entry in described]
+        stated = [(of.place, of.value) for of in described if not known.refuses_write(of.index, of.sub)]
     else:
         stated = list(convert(_File, read_table(path, str(path)), str(path)).objects.items())
     wanted: Configuration = {}
@@ -157,11 +159,14 @@ def _single_values(name: str, value: object, objects: DeviceObjects) -> list[tup
     entries = [objects.resolve(f"0x{first.index:04X}:{k + 1:02X}") for k in range(len(value))]
     if not communication.is_mapping(first.index):
         return [(entry, _typed(entry, item)) for entry, item in zip(entries, value, strict=True)]
-    words = []  # index, sub-index, length in bits (CiA 301, 7.5.2.36)
-    for item in value:
-        of = objects.resolve(item) if isinstance(item, str) else None
-        words.append(item if of is None else of.index << 16 | of.sub << 8 | 8 * (types.data_type(of.type).size or 0))
+    words = [_mapped(item, objects) for item in value]
     return [(objects.resolve(f"0x{first.index:04X}:00"), len(words)), *zip(entries, words, strict=True)]
+
+
+def _mapped(item: Value, objects: DeviceObjects) -> Value:
+    """Return index, sub-index and length in bits of an entry by its name (CiA 301, 7.5.2.36); a number as it is."""
+    of = objects.resolve(item) if isinstance(item, str) else None
+    return item if of is None else of.index << 16 | of.sub << 8 | 8 * (types.data_type(of.type).size or 0)
 
 
 def _typed(entry: Entry[Value], value: object) -> Value:
@@ -187,7 +192,7 @@ async def apply_configuration_async(sdo: SdoChannel, wanted: Configuration, *, b
             await sdo.write_async(entry, value, blocks=blocks)
     except SdoAbortError:
         with contextlib.suppress(SdoAbortError, NoResponseError):
-            for entry, value in _in_order(before, before):
+            for entry, value in _in_order(before, wanted):
                 await sdo.write_async(entry, value, blocks=blocks)
         raise
 
@@ -206,7 +211,8 @@ async def _present(sdo: SdoChannel, wanted: Configuration, blocks: bool) -> Conf
 
 
 def _in_order(values: Configuration, before: Configuration) -> Iterator[tuple[Entry[Value], Value]]:
-    """The writes PDO by PDO: switched off, remapped, its other parameters, its COB-ID (7.5.2.36); then all else."""
+    """The writes PDO by PDO: switched off, remapped, its other parameters, its COB-ID (7.5.2.36); then what changes of
+    other services is switched off, and all else is written, 1006h last: 1019h needs 0 there (7.5.2.22)."""
     final = before | values
     for pdo in _pdos(values):
         mapping = pdo + communication.MAPPING
@@ -219,7 +225,22 @@ def _in_order(values: Configuration, before: Configuration) -> Iterator[tuple[En
             yield count, final[count.key][1]
         yield from (write for (index, sub), write in values.items() if index == pdo and sub != 1)
         yield cob_id, can_id
-    yield from (write for (index, _), write in values.items() if not _is_pdo(index))
+    period = communication.SYNC_PERIOD, 0
+    for place, (entry, value) in values.items():
+        off = _switched_off(*place, value)
+        if off is not None and (place == period or place not in before or before[place][1] != value):
+            yield entry, off
+    yield from (write for place, write in values.items() if not _is_pdo(place[0]) and place != period)
+    yield from (write for place, write in values.items() if place == period)
+
+
+def _switched_off(index: int, sub: int, value: Value) -> Value | None:
+    """Return what to write before a value of a service that only changes while it is off; None if it needs nothing."""
+    if index == communication.COB_ID_EMCY or (index >> 8 == communication.SDO_SERVER >> 8 and sub in (1, 2)):
+        return int(value) | codes.COB_ID_INVALID
+    if index == communication.COB_ID_SYNC:
+        return int(value) & ~codes.SYNC_PRODUCER
+    return 0 if index in (communication.SYNC_PERIOD, communication.CONSUMER_HEARTBEAT) else None
 
 
 def _pdos(values: Configuration) -> list[int]:

@@ -51,6 +51,10 @@ class FingertipObjects:
         entry = names.describe(index, sub, self.gauges)
         return None if entry is None else entry.name
 
+    def refuses_write(self, _index: int, _sub: int) -> bool:
+        """False: a DCF of a fingertip has only what its settings file states."""
+        return False
+
     def check(self, entry: Entry[Value], value: Value) -> None:
         """Raises InputError for a value that the device rejects in any case: TPDOs do not support RTR."""
         of_tpdo = communication.TPDO <= entry.index <= communication.LAST_TPDO
@@ -69,14 +73,18 @@ class EdsObjects:
 
     @cached_property
     def settings(self) -> Mapping[Place, Entry[Value]]:
-        """The entries that can be read and written, without commands: what an RPDO sets, the controlword, DOMAINs."""
+        """The entries that can be read and written, without commands: what an RPDO sets, the controlword, DOMAINs, and
+        what ObjFlags refuse."""
+        from canopen_device.eds.description import REFUSE_READ
+
         first, last = communication.RPDO_MAPPING, communication.LAST_RPDO_MAPPING
         words = [of.initial for of in self.described.entries() if first <= of.index <= last and of.sub]
         mapped = {(word >> 16, word >> 8 & 0xFF) for word in words if isinstance(word, int)}  # by RPDOs
         settings: dict[Place, Entry[Value]] = {}
         for of in self.described.entries():
             command = of.access == "rww" or (of.index, of.sub) in mapped or of.index == _CONTROLWORD
-            if of.access in ("rw", "rwr") and not command and of.index not in _ACTIONS and of.letter != "D":
+            refused = self.refuses_write(of.index, of.sub) or of.flags & REFUSE_READ
+            if of.access in ("rw", "rwr") and not command and not refused and of.letter != "D":
                 settings[of.index, of.sub] = self._entry(of)
         return settings
 
@@ -88,6 +96,13 @@ class EdsObjects:
         """The ParameterName where it is unique, otherwise the number."""
         of = self.described.entry(index, sub)
         return None if of is None else self._entry(of).name
+
+    def refuses_write(self, index: int, sub: int) -> bool:
+        """Whether a DCF does not set the entry: 1003h, 1010h, 1011h, and what ObjFlags refuse."""
+        from canopen_device.eds.description import REFUSE_WRITE
+
+        of = self.described.entry(index, sub)
+        return index in _ACTIONS or (of is not None and bool(of.flags & REFUSE_WRITE))
 
     def _entry(self, of: eds.Entry) -> Entry[Value]:
         from canopen_device.eds.description import COUNTED, folded
