@@ -49,6 +49,7 @@ def test_sdo_by_the_names_of_the_file(eds: str, printed: Printed) -> None:
             (["Software position limit/Maximum position limit"], "1000000"),
         ):  # fmt: skip
             assert printed(0, ["sdo", "read", "5", *words, "--eds", eds, *bus.split()]).out.strip() == shown
+        assert "(0x1018:01): 4 bytes" in printed(2, f"sdo read 5 0x1018 1 u8 {bus}").err
         printed(0, ["sdo", "write", "5", "Profile velocity", "2000", "--eds", eds, *bus.split()])
         assert drive["Profile velocity"] == 2000
         rows = printed(0, f"sdo dump 5 --json --eds {eds} {bus}").records
