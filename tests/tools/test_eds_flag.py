@@ -255,6 +255,8 @@ def test_settings_survive_a_file(tmp_path: Path, printed: Printed) -> None:
     for section in ("[1010sub1]", "[2003]"):  # read from a device by another tool: no settings
         own = own.replace(f"{section}\n", f"{section}\nParameterValue=1\n")
     dcf.write_text(own.replace("[2100Value]\nNrOfEntries=2\n1=11", "[2100Value]\nNrOfEntries=2\n1=12"))
+    other = tmp_path / "other.dcf"
+    other.write_text(own.replace("NodeID=5", "NodeID=6").replace("[2001]\n", "[2001]\nParameterValue=2\n"))
     toml.write_text("[objects]\nP1005 = 0x40000081\nP1006 = 1000000\nP1014 = 0x390\nP1019 = 10\nP2002 = ' '\n"
                     '"0x1016:01" = 0x20064\n"0x1016:02" = 0x10064\n0x1A00 = [0x20010001, 0x20000001]\n')  # fmt: skip
     with simulated(path) as (lamp, bus):
@@ -263,6 +265,9 @@ def test_settings_survive_a_file(tmp_path: Path, printed: Printed) -> None:
         assert [lamp[key] for key in (0x1006, 0x1014, 0x1019, (0x1016, 1), (0x1A00, 1), (0x2100, 1), 0x2003)] == [
             1_000_000, 0x390, 10, 0x20064, 0x20010001, 12, 0,
         ]  # fmt: skip
+        said = printed(2, f"config apply 5 {other} --eds {path} {bus}").err
+        assert "loaded as node 5" in said
+        assert said.endswith("[2001] ParameterValue=2: not in BOOLEAN, 0 to 1\n")
         lamp[0x2100, 1] = 0
         assert "cannot hold 0x2002:00 = ' '" in printed(0, f"config save 5 {dcf} --eds {dcf} {bus}").err
         assert [read_eds(dcf).find((0x2100, k)).value for k in (1, 2)] == [0, 22]

@@ -82,6 +82,7 @@ read 5 --wait 0 X | read 5 --wait nan X => %: '@': allowed is a time over 0 s
 export ros2 -o x => --hand:
 export ros2 --hand one.toml => --output:
 export c --programs -o x => the exported C has no program slots
+config save 5 x.xdc NOBODY => allowed are TOML, and a DCF by the suffix
 export dcf --node-id 5 --eds one.toml | export eds --eds one.toml => --eds is for xdd alone
 export xdd --settings one.toml | export eds --settings one.toml => --settings is for dcf alone
 decode --from yesterday run.log | decode --from 0001-01-01 run.log => allowed are seconds from the start

@@ -26,7 +26,8 @@ MOST_VALUE_BYTES = 64 << 20
 @dataclass(slots=True)
 class Entry:
     """One sub-index. ``default`` and ``value`` (None without one) include the node-id; ``directions``: flags TPDO, RPDO
-    of the PDOs that may map it; ``access``: ro, wo, rw, rwr, rww or const; ``letter`` one of ``types``."""
+    of the PDOs that may map it; ``access``: ro, wo, rw, rwr, rww or const; ``letter`` one of ``types``; ``remark``:
+    line of the file and why ``value`` is not what it has there, "" where it is."""
 
     index: int
     sub: int
@@ -41,6 +42,7 @@ class Entry:
     has_node_id: bool = False
     has_default: bool = True
     value: Value | None = None
+    remark: str = ""
     flags: int = 0
     unit: str = ""
     denotation: str = ""

@@ -214,7 +214,7 @@ class _Reader:
                 value, has_node_id, remark = values.typed(entry.type, text, self._into.node_id)
                 lists["value"].say(str(sub), remark)
                 if self._into.is_dcf:
-                    entry.value = value
+                    entry.value, entry.remark = value, self._if_other(remark)
                 else:
                     entry.default, entry.has_node_id, entry.has_default = value, has_node_id, True
             made.entries[sub] = entry
@@ -324,7 +324,9 @@ class _Reader:
         entry.has_default = bool(section.get(key))
         entry.default, entry.has_node_id = self._value(entry, section, key)
         if section.get("ParameterValue") and self._into.is_dcf:
-            entry.value, _ = self._value(entry, section, "ParameterValue")
+            entry.value, _, remark = values.typed(entry.type, section.get("ParameterValue") or "", self._into.node_id)
+            section.say("ParameterValue", remark)
+            entry.remark = self._if_other(remark)
         for key in ("UploadFile", "DownloadFile"):
             name = section.get(key)
             if name and entry.type.python is bytes:
@@ -333,6 +335,10 @@ class _Reader:
                 entry.value = entry.value if content is None else content
             elif name:
                 section.say(key, f"only a DOMAIN has a file, not {entry.type.name}; not read")
+
+    def _if_other(self, remark: str) -> str:
+        line, finding = self._into.findings[-1] if values.is_other(remark) else (0, "")
+        return f"{line}: {finding.partition('; ')[0]}" if line else ""
 
     def _value(self, entry: Entry, section: Section, key: str) -> tuple[Value, bool]:
         value, has_node_id, remark = values.typed(entry.type, section.get(key) or "", self._into.node_id)

@@ -78,7 +78,7 @@ def _opened(args: argparse.Namespace) -> Iterator[tuple[Finger, DeviceObjects, C
     with connection_or(args, error) as connection:
         finger = connection.finger(args.node)
         objects = _objects(finger.sdo, args.gauges, args.eds, error)
-        yield finger, objects, read_configuration(args.file, args.node, objects=objects)
+        yield finger, objects, read_configuration(args.file, args.node, objects=objects, note=common.note)
 
 
 def _diff(args: argparse.Namespace) -> int:
@@ -184,6 +184,8 @@ def _save(args: argparse.Namespace) -> int:
     from tipforce.output_file import EDS, SETTINGS, check_output, write_file
 
     as_dcf = args.file.lower().endswith((".dcf", ".eds"))
+    if args.file.lower().endswith((".xdc", ".xdd")):
+        raise InputError(f"config save {args.file}: allowed are TOML, and a DCF by the suffix .dcf")
     kind = EDS if as_dcf else SETTINGS
     if args.file != "-":
         check_output(args.file, kind)

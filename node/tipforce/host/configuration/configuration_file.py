@@ -111,33 +111,47 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def read_configuration(
-    path: str | Path, node_id: int, gauges: int = 3, objects: DeviceObjects | None = None
-) -> Configuration:
+    path: str | Path, node_id: int, gauges: int = 3, objects: DeviceObjects | None = None,
+    note: Callable[[str], object] = lambda _warning: None,
+) -> Configuration:  # fmt: skip
     """Return the content of a file: a DCF or XDC by its extension, otherwise TOML with a table [objects]. ``objects``:
-    by default a fingertip's. Raises InputError naming the file, the object, the value and what is allowed."""
+    by default a fingertip's; ``note`` gets the warnings of a DCF. Raises InputError naming the file, the object, the
+    value and what is allowed, also for a value that the file sets twice."""
     known = FingertipObjects(node_id, gauges) if objects is None else objects
     is_dcf = str(path).lower().endswith((".dcf", ".eds", ".xdc", ".xdd"))
-    stated: list[tuple[str, object]]
-    if is_dcf:
-        from canopen_device.eds.reader import read_eds
-
-        described = [entry for entry in read_eds(path, node_id).entries() if entry.value is not None]
-        stated = [(of.place, of.value) for of in described if not known.refuses_write(of.index, of.sub)]
-    else:
-        stated = list(convert(_File, read_table(path, str(path)), str(path)).objects.items())
+    in_toml = {} if is_dcf else convert(_File, read_table(path, str(path)), str(path)).objects
+    stated: Mapping[str, object] = dict(_of_dcf(path, node_id, known, note)) if is_dcf else in_toml
     wanted: Configuration = {}
     with placed(str(path)):
-        for name, value in stated:
+        for name, value in stated.items():
             for entry, single in _single_values(name, value if is_dcf else _numbered(value, node_id), known):
                 if entry.access in ("rw", "wo"):
                     entry.encode(single)
                     known.check(entry, single)
+                    if entry.key in wanted and not same(entry, wanted[entry.key][1], single):
+                        raise InputError(f"{entry.name} ({entry}) is set to {wanted[entry.key][1]!r} and to {single!r}")
                     wanted[entry.key] = entry, single
                 elif not is_dcf:  # there it is a fact of the device
                     raise InputError(f"{entry.name} ({entry}) is {entry.access} and cannot be configured")
         if not wanted:
             raise InputError("no object is set")
     return dict(sorted(wanted.items()))
+
+
+def _of_dcf(
+    path: str | Path, node_id: int, known: DeviceObjects, note: Callable[[str], object]
+) -> Iterator[tuple[str, Value]]:
+    from canopen_device.eds.reader import read_eds
+
+    described = read_eds(path, node_id)
+    for warning in described.warnings:
+        note(f"warning: {warning}")
+    for of in described.entries():
+        if of.value is None or of.access in ("ro", "const") or known.refuses_write(of.index, of.sub):
+            continue  # a fact of the device
+        if of.remark:
+            raise InputError(f"{path}:{of.remark}")
+        yield of.place, of.value
 
 
 def _numbered(value: object, node_id: int) -> object:
