@@ -11,11 +11,11 @@ from canopen_device.types import TYPES, DataType, Value
 
 NULL, DOMAIN, DEFTYPE, DEFSTRUCT, VAR, ARRAY, RECORD = 0, 2, 5, 6, 7, 8, 9  # object codes (CiA 301, 7.4.3)
 READ_ONLY, CONSTANT = "ro", "const"
-REFUSE_WRITE, REFUSE_READ = 1, 2  # of ObjFlags: not to be written on download, not to be read on scan (CiA 306-1)
 _NUMERIC = re.compile(
     r"(?:0[xX]([0-9a-fA-F]{1,4})|([0-9a-fA-F]{1,4})[hH])(?:\s*[:./]\s*(?:0[xX])?([0-9a-fA-F]{1,2})[hH]?)?"
 )
 COUNTED = re.compile(r"(.+):(\d+)")  # an object by its name, and a sub-index
+OTHER = re.compile(r".*: (not in .*|.*; read as 0)", re.DOTALL)  # of a remark: the value is not that of the text
 MOST_ENTRIES = 100_000
 """Entries of a device: large devices have some thousands; few lines with CompactSubObj and CompactPDO count many."""
 
@@ -26,8 +26,8 @@ MOST_VALUE_BYTES = 64 << 20
 @dataclass(slots=True)
 class Entry:
     """One sub-index. ``default`` and ``value`` (None without one) include the node-id; ``directions``: flags TPDO, RPDO
-    of the PDOs that may map it; ``access``: ro, wo, rw, rwr, rww or const; ``letter`` one of ``types``; ``remark``:
-    line of the file and why ``value`` is not what it has there, "" where it is."""
+    of the PDOs that may map it; ``access``: ro, wo, rw, rwr, rww or const; ``letter`` one of ``types``; ``remark``: on
+    the text of ``initial``, behind its line."""
 
     index: int
     sub: int

@@ -212,9 +212,9 @@ class _Reader:
             text = texts.get("value", {}).get(sub)
             if text is not None:
                 value, has_node_id, remark = values.typed(entry.type, text, self._into.node_id)
-                lists["value"].say(str(sub), remark)
+                entry.remark = lists["value"].say(str(sub), remark)
                 if self._into.is_dcf:
-                    entry.value, entry.remark = value, self._if_other(remark)
+                    entry.value = value
                 else:
                     entry.default, entry.has_node_id, entry.has_default = value, has_node_id, True
             made.entries[sub] = entry
@@ -324,9 +324,7 @@ class _Reader:
         entry.has_default = bool(section.get(key))
         entry.default, entry.has_node_id = self._value(entry, section, key)
         if section.get("ParameterValue") and self._into.is_dcf:
-            entry.value, _, remark = values.typed(entry.type, section.get("ParameterValue") or "", self._into.node_id)
-            section.say("ParameterValue", remark)
-            entry.remark = self._if_other(remark)
+            entry.value, _ = self._value(entry, section, "ParameterValue")
         for key in ("UploadFile", "DownloadFile"):
             name = section.get(key)
             if name and entry.type.python is bytes:
@@ -336,13 +334,9 @@ class _Reader:
             elif name:
                 section.say(key, f"only a DOMAIN has a file, not {entry.type.name}; not read")
 
-    def _if_other(self, remark: str) -> str:
-        line, finding = self._into.findings[-1] if values.is_other(remark) else (0, "")
-        return f"{line}: {finding.partition('; ')[0]}" if line else ""
-
     def _value(self, entry: Entry, section: Section, key: str) -> tuple[Value, bool]:
         value, has_node_id, remark = values.typed(entry.type, section.get(key) or "", self._into.node_id)
-        section.say(key, remark)
+        entry.remark = section.say(key, remark)
         return value, has_node_id
 
     def _read_limits(self, entry: Entry, section: Section) -> None:

@@ -108,11 +108,6 @@ def typed(kind: DataType, text: str, node_id: int) -> tuple[Value, bool, str]:
     return value, False, remark
 
 
-def is_other(remark: str) -> bool:
-    """Return whether the remark of ``typed`` says that the value is not that of the text."""
-    return remark.startswith("not in ") or remark.endswith(_AS_ZERO)
-
-
 def limit(kind: DataType, text: str, node_id: int) -> tuple[int | float | None, str]:
     """Read a limit of a numeric type, and a remark; None for what is no such number."""
     value, _, remark = typed(kind, text, node_id)

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from canopen_device import types
-from canopen_device.eds.description import REFUSE_READ, REFUSE_WRITE
 from canopen_device.eds.sections import BIT_RATES_KBIT_S, lists_of
 from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry
@@ -17,6 +16,7 @@ if TYPE_CHECKING:
     from tipforce.dictionary.table import Converter
 
 _DUMMY_TYPES = 7  # data types 0001h to 0007h: canopen wants all of them named
+_REFUSE_WRITE, _REFUSE_READ = 1, 2  # ObjFlags: not to be written on download, not to be read on scan
 
 Values = Mapping[tuple[int, int], types.Value]
 
@@ -158,8 +158,8 @@ def _entry(entry: Entry[Any], values: Values) -> list[str]:
         lines.append(f"HighLimit={value_text(entry.type, entry.high)}")
     lines.append(f"PDOMapping={int(entry.mappable)}")
     # Commands and states are not to be downloaded from a DCF; what is write-only can't be scanned.
-    flags = REFUSE_WRITE if entry.flags & table.NOT_STORED or entry.access == "wo" else 0
-    flags |= REFUSE_READ if entry.access == "wo" else 0
+    flags = _REFUSE_WRITE if entry.flags & table.NOT_STORED or entry.access == "wo" else 0
+    flags |= _REFUSE_READ if entry.access == "wo" else 0
     if flags:
         lines.append(f"ObjFlags=0x{flags:X}")
     if entry.key in values:

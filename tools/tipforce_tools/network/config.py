@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
@@ -179,6 +179,7 @@ def _shown(entry: Entry[Value], value: Value) -> str:
 
 
 def _save(args: argparse.Namespace) -> int:
+    from canopen_device.eds import dcf
     from tipforce.dictionary import eds as fingertip_eds
     from tipforce.host.configuration.configuration_file import changed_settings, settings_toml
     from tipforce.output_file import EDS, SETTINGS, check_output, write_file
@@ -199,7 +200,12 @@ def _save(args: argparse.Namespace) -> int:
         elif isinstance(objects, EdsObjects):
             had = {place for place in settings if objects.described.find(place).value is not None}  # of --eds FILE.dcf
             chosen = {place: value for place, value in settings.items() if place in chosen or place in had}
-            text = _dcf(args, objects, chosen)
+            for place, value in chosen.items():
+                kept = value.strip() if isinstance(value, str) else value
+                if (kept != value or value in ("", b"")) and value != objects.settings[place].default:
+                    shown = f"{objects.settings[place]} = {value!r}"
+                    common.note(f"{args.file}: a DCF cannot hold {shown}, empty or with outer blanks; TOML can")
+            text = dcf.dcf_text(objects.described, chosen)
         else:
             simulated = connection.finger(args.node).identity().simulated
             text = fingertip_eds.dcf_text(objects.gauges, args.node, chosen, simulated)
@@ -209,21 +215,6 @@ def _save(args: argparse.Namespace) -> int:
     write_file(args.file, text, kind)
     common.note(f"{args.file}: {len(chosen)} of {len(settings)} settings of {common.shown_node(args.node)}")
     return 0
-
-
-def _dcf(args: argparse.Namespace, objects: EdsObjects, chosen: Mapping[tuple[int, int], Value]) -> str:
-    from canopen_device.eds.dcf import dcf_text
-    from canopen_device.eds.reader import describe
-    from canopen_device.eds.sections import parse
-    from tipforce.host.configuration.configuration_file import same
-
-    text = dcf_text(objects.described, chosen)
-    kept = describe(parse(text.encode(), args.file), args.node)
-    for place, value in chosen.items():
-        of = kept.find(place)
-        if not same(objects.settings[place], of.initial, value):
-            common.note(f"{args.file}: a DCF cannot hold {of.place} = {value!r}, empty or with outer blanks; TOML can")
-    return text
 
 
 def _read(sdo: SdoChannel, objects: DeviceObjects) -> dict[tuple[int, int], Value]:

@@ -18,7 +18,7 @@ from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.names import describe
 from tipforce.errors import InputError, NoResponseError, SdoAbortError, placed
-from tipforce.host.configuration.device_objects import DeviceObjects, FingertipObjects, Place
+from tipforce.host.configuration.device_objects import DeviceObjects, EdsObjects, FingertipObjects, Place
 from tipforce.host.network.sdo import SdoChannel, finished
 
 
@@ -45,7 +45,7 @@ def read_settings(
 def changed_settings(settings: Mapping[Place, Value], objects: DeviceObjects) -> dict[Place, Value]:
     """Return the settings that differ from their default; of a remapped PDO its whole mapping."""
     known = objects.settings
-    changed = {place for place, value in settings.items() if not same(known[place], value, known[place].default)}
+    changed = {place for place, value in settings.items() if not _same(known[place], value, known[place].default)}
     remapped = {index for index, _ in changed if communication.is_mapping(index)}
     return {
         (index, sub): value
@@ -60,7 +60,7 @@ def compare(node: Mapping[Place, Value], wanted: Configuration, objects: DeviceO
     differences = []
     for place in sorted({*changed_settings(node, objects), *wanted} & objects.settings.keys()):
         entry, here, there = objects.settings[place], node.get(place), wanted[place][1] if place in wanted else None
-        if here is None or there is None or not same(entry, here, there):
+        if here is None or there is None or not _same(entry, here, there):
             node_has, file_has = (v if v is None else types.format_value(entry.type, v) for v in (here, there))
             differences.append({"name": entry.name, "entry": str(entry), "node": node_has, "other": file_has})
     return differences
@@ -88,8 +88,8 @@ def settings_toml(settings: Mapping[Place, Value], objects: DeviceObjects, node_
     return tomli_w.dumps({"objects": written}, multiline_strings=False)
 
 
-def same(entry: Entry[Value], a: Value, b: Value) -> bool:
-    """Return whether both are equal on the wire: a REAL32 default is compared as REAL32."""
+def _same(entry: Entry[Value], a: Value, b: Value) -> bool:
+    """Whether both are equal on the wire: a REAL32 default is compared as REAL32."""
     try:
         return entry.encode(a) == entry.encode(b)
     except InputError:  # an EDS may have a default that its type does not
@@ -128,7 +128,7 @@ def read_configuration(
                 if entry.access in ("rw", "wo"):
                     entry.encode(single)
                     known.check(entry, single)
-                    if entry.key in wanted and not same(entry, wanted[entry.key][1], single):
+                    if entry.key in wanted and not _same(entry, wanted[entry.key][1], single):
                         raise InputError(f"{entry.name} ({entry}) is set to {wanted[entry.key][1]!r} and to {single!r}")
                     wanted[entry.key] = entry, single
                 elif not is_dcf:  # there it is a fact of the device
@@ -141,17 +141,18 @@ def read_configuration(
 def _of_dcf(
     path: str | Path, node_id: int, known: DeviceObjects, note: Callable[[str], object]
 ) -> Iterator[tuple[str, Value]]:
+    from canopen_device.eds.description import OTHER
     from canopen_device.eds.reader import read_eds
 
     described = read_eds(path, node_id)
     for warning in described.warnings:
         note(f"warning: {warning}")
     for of in described.entries():
-        if of.value is None or of.access in ("ro", "const") or known.refuses_write(of.index, of.sub):
-            continue  # a fact of the device
-        if of.remark:
-            raise InputError(f"{path}:{of.remark}")
-        yield of.place, of.value
+        is_fact = of.access in ("ro", "const") or (isinstance(known, EdsObjects) and known.refuses_write(of))
+        if of.value is not None and not is_fact:
+            if OTHER.fullmatch(of.remark):
+                raise InputError(f"{path}:{of.remark.partition('; ')[0]}")
+            yield of.place, of.value
 
 
 def _numbered(value: object, node_id: int) -> object:

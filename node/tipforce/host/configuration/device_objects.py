@@ -21,6 +21,7 @@ Place = tuple[int, int]
 _NO_SETTING = table.VIEW | table.NOT_STORED | table.STAGED
 _ACTIONS = (communication.ERROR_HISTORY, communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS)
 _CONTROLWORD = 0x6040  # of CiA 402
+_REFUSE_WRITE = 1  # of ObjFlags
 
 
 class FingertipObjects:
@@ -51,10 +52,6 @@ class FingertipObjects:
         entry = names.describe(index, sub, self.gauges)
         return None if entry is None else entry.name
 
-    def refuses_write(self, _index: int, _sub: int) -> bool:
-        """False: a DCF of a fingertip has only what its settings file states."""
-        return False
-
     def check(self, entry: Entry[Value], value: Value) -> None:
         """Raises InputError for a value that the device rejects in any case: TPDOs do not support RTR."""
         of_tpdo = communication.TPDO <= entry.index <= communication.LAST_TPDO
@@ -73,18 +70,14 @@ class EdsObjects:
 
     @cached_property
     def settings(self) -> Mapping[Place, Entry[Value]]:
-        """The entries that can be read and written, without commands: what an RPDO sets, the controlword, DOMAINs, and
-        what ObjFlags refuse."""
-        from canopen_device.eds.description import REFUSE_READ
-
+        """The entries that can be read and written, without commands: what an RPDO sets, the controlword, DOMAINs."""
         first, last = communication.RPDO_MAPPING, communication.LAST_RPDO_MAPPING
         words = [of.initial for of in self.described.entries() if first <= of.index <= last and of.sub]
         mapped = {(word >> 16, word >> 8 & 0xFF) for word in words if isinstance(word, int)}  # by RPDOs
         settings: dict[Place, Entry[Value]] = {}
         for of in self.described.entries():
             command = of.access == "rww" or (of.index, of.sub) in mapped or of.index == _CONTROLWORD
-            refused = self.refuses_write(of.index, of.sub) or of.flags & REFUSE_READ
-            if of.access in ("rw", "rwr") and not command and not refused and of.letter != "D":
+            if of.access in ("rw", "rwr") and not command and not self.refuses_write(of) and of.letter != "D":
                 settings[of.index, of.sub] = self._entry(of)
         return settings
 
@@ -97,12 +90,10 @@ class EdsObjects:
         of = self.described.entry(index, sub)
         return None if of is None else self._entry(of).name
 
-    def refuses_write(self, index: int, sub: int) -> bool:
-        """Whether a DCF does not set the entry: 1003h, 1010h, 1011h, and what ObjFlags refuse."""
-        from canopen_device.eds.description import REFUSE_WRITE
-
-        of = self.described.entry(index, sub)
-        return index in _ACTIONS or (of is not None and bool(of.flags & REFUSE_WRITE))
+    def refuses_write(self, of: eds.Entry) -> bool:
+        """Whether a DCF does not set the entry: 1003h, 1010h, 1011h, and what ObjFlags refuse (CiA 306-1)."""
+        known = self.described.entry(of.index, of.sub) or of
+        return of.index in _ACTIONS or bool(known.flags & _REFUSE_WRITE)
 
     def _entry(self, of: eds.Entry) -> Entry[Value]:
         from canopen_device.eds.description import COUNTED, folded
