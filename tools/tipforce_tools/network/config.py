@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
@@ -200,11 +200,7 @@ def _save(args: argparse.Namespace) -> int:
         elif isinstance(objects, EdsObjects):
             had = {place for place in settings if objects.described.find(place).value is not None}  # of --eds FILE.dcf
             chosen = {place: value for place, value in settings.items() if place in chosen or place in had}
-            for place, value in chosen.items():
-                kept = value.strip() if isinstance(value, str) else value
-                if (kept != value or value in ("", b"")) and value != objects.settings[place].default:
-                    shown = f"{objects.settings[place]} = {value!r}"
-                    common.note(f"{args.file}: a DCF cannot hold {shown}, empty or with outer blanks; TOML can")
+            _note_lost(args.file, chosen, objects)
             text = dcf.dcf_text(objects.described, chosen)
         else:
             simulated = connection.finger(args.node).identity().simulated
@@ -215,6 +211,13 @@ def _save(args: argparse.Namespace) -> int:
     write_file(args.file, text, kind)
     common.note(f"{args.file}: {len(chosen)} of {len(settings)} settings of {common.shown_node(args.node)}")
     return 0
+
+
+def _note_lost(file: str, chosen: Mapping[tuple[int, int], Value], objects: EdsObjects) -> None:
+    for place, value in chosen.items():
+        entry, kept = objects.settings[place], value.strip() if isinstance(value, str) else value
+        if (kept != value or value in ("", b"")) and value != entry.default:
+            common.note(f"{file}: a DCF cannot hold {entry} = {value!r}, empty or with outer blanks; TOML can")
 
 
 def _read(sdo: SdoChannel, objects: DeviceObjects) -> dict[tuple[int, int], Value]:
