@@ -243,7 +243,8 @@ def _in_order(values: Configuration, before: Configuration) -> Iterator[tuple[En
     period = communication.SYNC_PERIOD, 0
     for place, (entry, value) in values.items():
         off = _switched_off(*place, value)
-        if off is not None and (place == period or place not in before or before[place][1] != value):
+        differs = place == period or place not in before or before[place][1] != value
+        if off is not None and off != value and differs:
             yield entry, off
     yield from (write for place, write in values.items() if not _is_pdo(place[0]) and place != period)
     yield from (write for place, write in values.items() if place == period)
