@@ -1,6 +1,7 @@
 """Deliberate faults in the device: each is noticed by a case; and what the standard permits is no failure."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import pytest
@@ -19,10 +20,12 @@ from canopen_device.core.sdo_block import BlockDownload, BlockUpload
 from canopen_device.core.sdo_server import SdoServer
 from canopen_device.core.storage import Storage
 from canopen_device.core.sync import SyncConsumer
+from canopen_device.eds.load import device_of
 from canopen_device.testing import MemoryStore
 from conformance.fingertip import all_cases, matching, run_in_process
 from conformance.minimal import MinimalDevice
 from device.tiny import service_dictionary
+from eds.samples import described, record, text, var
 from tipforce.fingertip import channels
 
 Sent = list[tuple[int, bytes]]
@@ -188,6 +191,15 @@ def test_no_case_fails() -> None:
             failed[case.name] = "\n".join([result.reason, *result.log[-6:]])
     assert not failed, "\n\n".join(f"{name}: {text}" for name, text in failed.items())
     assert verdicts.count(PASS) > 250
+
+
+def test_a_short_history_and_a_fast_heartbeat_are_no_failures(tmp_path: Path) -> None:
+    history = record("1003", var("1003sub0", 5, default="0"), var("1003sub1", 7, "ro"), code="0x8")
+    beats = record("1016", var("1016sub0", 5, "ro", "1"), var("1016sub1", 7), code="0x8")
+    emcy, heartbeat = var("1014", 7, default="$NODEID+0x80"), var("1017", 6, default="50")
+    device = device_of(described(tmp_path, text(history, beats, emcy, heartbeat)))
+    for case in [*matching("nmt.boot_up_once*"), *matching("emcy.history*")]:
+        assert run_in_process(case, device)[0].verdict != FAIL, case.name
 
 
 def on_one_device(cases: list[Case], reset_us: int) -> tuple[list[str], float, int]:

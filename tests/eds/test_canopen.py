@@ -153,6 +153,8 @@ def test_an_export_is_read_as_the_same_device(name: str, tmp_path: Path) -> None
     assert [(e.place, *(getattr(e, key) for key in SAME)) for e in again.entries()] == [
         (e.place, *(getattr(e, key) for key in SAME)) for e in found.entries()
     ]
+    found.objects[0x1000].name = "Type \x1b"  # no character of XML
+    assert sound(tmp_path, xdd_text(found), name="again.xdd").objects[0x1000].name == r"Type \x1b"
     assert (again.lss, again.dummies, again.bit_rates) == (found.lss, found.dummies, found.bit_rates or (1_000_000,))
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from canopen_device.eds import read_eds
 from canopen_device.machine import SimulatedDevice, shipped_eds
-from eds.samples import pdo, text, var
+from eds.samples import pdo, record, text, var
 from host.bus_with_nodes import new_channel
 from tipforce import simulated_device
 from tipforce_robots.ros2.bridge import ros_name
@@ -49,6 +49,7 @@ def test_sdo_by_the_names_of_the_file(eds: str, printed: Printed) -> None:
             (["Software position limit/Maximum position limit"], "1000000"),
         ):  # fmt: skip
             assert printed(0, ["sdo", "read", "5", *words, "--eds", eds, *bus.split()]).out.strip() == shown
+        assert "(0x1018:01): 4 bytes" in printed(2, f"sdo read 5 0x1018 1 u8 {bus}").err
         printed(0, ["sdo", "write", "5", "Profile velocity", "2000", "--eds", eds, *bus.split()])
         assert drive["Profile velocity"] == 2000
         rows = printed(0, f"sdo dump 5 --json --eds {eds} {bus}").records
@@ -79,6 +80,15 @@ def test_a_log_by_the_names_of_the_file(eds: str, tmp_path: Path, printed: Print
         "TPDO2  Position_actual_value=1000 Velocity_actual_value=-2"), strict=True):  # fmt: skip
         assert shown in line
     assert re.search("Target velocity.*2000", lines[5])
+
+
+def test_objects_of_one_name_have_columns_of_their_own(tmp_path: Path, printed: Printed) -> None:
+    axes = [var(index, 6, ParameterName="Statusword") for index in ("6041", "6841")]
+    pdos = [pdo(0x1800 + k, f"$NODEID+0x{k + 1}80", 255, 0x60410010 + k * 0x08000000) for k in (0, 1)]
+    (tmp_path / "axes.eds").write_text(text(*axes, *pdos))
+    (tmp_path / "run.log").write_text("(1.000000) can0 185#0100\n(1.100000) can0 285#0200\n")
+    rows = printed(0, f"decode {tmp_path}/run.log --eds 5={tmp_path}/axes.eds --json").records
+    assert [(row["Statusword"], row["Statusword_6841_00"]) for row in rows] == [(1, None), (None, 2)]
 
 
 def test_plot_draws_every_signal_of_the_file(eds: str, tmp_path: Path, printed: Printed) -> None:
@@ -228,6 +238,41 @@ def test_config_of_another_device(tmp_path: Path, printed: Printed) -> None:
     found = read_eds(dcf)
     assert (found.node_id, found.find("Brightness").value, found.find((0x2100, 2)).value) == (5, 7, 5)
     assert read_eds(dcf, 6).find((0x1800, 1)).value == 0x286
+
+
+def test_settings_survive_a_file(tmp_path: Path, printed: Printed) -> None:
+    """What only changes while it is off, single bits in a PDO, lists of a compact object, and texts."""
+    path, toml, dcf = tmp_path / "lamp.eds", tmp_path / "lamp.toml", tmp_path / "lamp.dcf"
+    beats = [var(f"1016sub{k}", 7, default=f"0x{k:02X}0064") for k in (1, 2)]
+    path.write_text(text(
+        var("1005", 7, default="0x80"), var("1006", 7), var("1014", 7, default="$NODEID+0x80"), var("1019", 5),
+        record("1016", var("1016sub0", 5, "ro", "2"), *beats), record("1010", var("1010sub0", 5, "ro", "1"),
+        var("1010sub1", 7, "rw", "1")), var("2000", 1), var("2001", 1), var("2002", 9, default="on"),
+        var("2003", 6, ObjFlags="1"), pdo(0x1800, "$NODEID+0x180", 255, 0x20000001, 0x20010001),
+        "[2100]\nParameterName=Curve\nObjectType=0x8\nDataType=0x0006\nAccessType=rw\nCompactSubObj=2\n"
+        "[2100Value]\nNrOfEntries=2\n1=11\n2=22\n"))  # fmt: skip
+    own = path.read_text() + "[DeviceComissioning]\nNodeID=5\n"
+    for section in ("[1010sub1]", "[2003]"):  # read from a device by another tool: no settings
+        own = own.replace(f"{section}\n", f"{section}\nParameterValue=1\n")
+    dcf.write_text(own.replace("[2100Value]\nNrOfEntries=2\n1=11", "[2100Value]\nNrOfEntries=2\n1=12"))
+    other = tmp_path / "other.dcf"
+    other.write_text(own.replace("NodeID=5", "NodeID=6").replace("[2001]\n", "[2001]\nParameterValue=2\n"))
+    toml.write_text("[objects]\nP1005 = 0x40000081\nP1006 = 1000000\nP1014 = 0x390\nP1019 = 10\nP2002 = ' '\n"
+                    '"0x1016:01" = 0x20064\n"0x1016:02" = 0x10064\n0x1A00 = [0x20010001, 0x20000001]\n')  # fmt: skip
+    with simulated(path) as (lamp, bus):
+        for file in (toml, toml, dcf):
+            printed(0, f"config apply 5 {file} --eds {path} {bus}")
+        assert [lamp[key] for key in (0x1006, 0x1014, 0x1019, (0x1016, 1), (0x1A00, 1), (0x2100, 1), 0x2003)] == [
+            1_000_000, 0x390, 10, 0x20064, 0x20010001, 12, 0,
+        ]  # fmt: skip
+        said = printed(2, f"config apply 5 {other} --eds {path} {bus}").err
+        assert "loaded as node 5" in said
+        assert said.endswith("[2001] ParameterValue=2: not in BOOLEAN, 0 to 1\n")
+        lamp[0x2100, 1] = 0
+        assert "cannot hold 0x2002:00 = ' '" in printed(0, f"config save 5 {dcf} --eds {dcf} {bus}").err
+        assert [read_eds(dcf).find((0x2100, k)).value for k in (1, 2)] == [0, 22]
+        printed(0, f"config save 5 {toml} --eds {path} {bus}")
+        printed(0, f"config verify 5 {toml} --eds {path} {bus}")
 
 
 HAND = """\

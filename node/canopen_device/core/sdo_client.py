@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     Conversation = Generator[bool, "bytes | None", None]
     Exchange = Generator[bool, "bytes | None", bytes]
 
-MAX_UPLOAD_BYTES = 1 << 18  # bounds memory, whatever a server announces or sends; the EDS in 1021h has 72 kB
+MAX_UPLOAD_BYTES = 1 << 20  # bounds memory, whatever a server announces or sends; the EDS in 1021h has 72 kB
 _ABORT = 0x80
 _UPLOAD_SEGMENT, _DOWNLOAD_SEGMENT, _UPLOAD, _DOWNLOAD = 0, 1, 2, 3  # server command specifiers
 

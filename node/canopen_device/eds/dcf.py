@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 
 from canopen_device.eds.description import Description
+from canopen_device.eds.reader import listed
 from canopen_device.eds.sections import EdsFile, parse
 from canopen_device.types import Value, format_value
 
@@ -26,19 +27,20 @@ def dcf_text(described: Description, values: Mapping[tuple[int, int], Value]) ->
         if index in without:
             continue
         if section is None:
-            lists.setdefault(index, {})[sub] = _text(described, index, sub, value)
+            known = file.lists.get(index, {}).get("value")  # its other entries stay as they are
+            lists.setdefault(index, {} if known is None else listed(known))[sub] = _text(described, index, sub, value)
         else:
             section.keys["parametervalue"] = _text(described, index, sub, value)
             section.written["parametervalue"] = "ParameterValue"
     _list_objects(file, without)
     lines: list[str] = []
     replaced = {id(part["value"]) for index, part in file.lists.items() if index in lists and "value" in part}
-    listed = {id(part): lists[index] for index, part in file.objects.items() if index in lists}
+    behind = {id(part): lists[index] for index, part in file.objects.items() if index in lists}
     for part in sections.values():
         if id(part) not in replaced:
             lines += part.text_lines()
-        if id(part) in listed:  # the list of the values of a compact object stands behind its section
-            texts = [f"{sub}={text}" for sub, text in sorted(listed[id(part)].items())]
+        if id(part) in behind:  # the list of the values of a compact object stands behind its section
+            texts = [f"{sub}={text}" for sub, text in sorted(behind[id(part)].items())]
             lines += [f"[{part.name}Value]", f"NrOfEntries={len(texts)}", *texts, ""]
     lines += [line for index in sorted(without) for line in _object_lines(described, index, values)]
     commissioning = ["[DeviceComissioning]", f"NodeID={described.node_id}", f"NodeName={described.node_name}"]

@@ -15,6 +15,7 @@ _NUMERIC = re.compile(
     r"(?:0[xX]([0-9a-fA-F]{1,4})|([0-9a-fA-F]{1,4})[hH])(?:\s*[:./]\s*(?:0[xX])?([0-9a-fA-F]{1,2})[hH]?)?"
 )
 COUNTED = re.compile(r"(.+):(\d+)")  # an object by its name, and a sub-index
+OTHER = re.compile(r".*: (not in .*|.*; read as 0)", re.DOTALL)  # of a remark: the value is not that of the text
 MOST_ENTRIES = 100_000
 """Entries of a device: large devices have some thousands; few lines with CompactSubObj and CompactPDO count many."""
 
@@ -25,7 +26,8 @@ MOST_VALUE_BYTES = 64 << 20
 @dataclass(slots=True)
 class Entry:
     """One sub-index. ``default`` and ``value`` (None without one) include the node-id; ``directions``: flags TPDO, RPDO
-    of the PDOs that may map it; ``access``: ro, wo, rw, rwr, rww or const; ``letter`` one of ``types``."""
+    of the PDOs that may map it; ``access``: ro, wo, rw, rwr, rww or const; ``letter`` one of ``types``; ``remark``: on
+    the text of ``initial``, behind its line."""
 
     index: int
     sub: int
@@ -40,6 +42,7 @@ class Entry:
     has_node_id: bool = False
     has_default: bool = True
     value: Value | None = None
+    remark: str = ""
     flags: int = 0
     unit: str = ""
     denotation: str = ""

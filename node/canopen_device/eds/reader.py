@@ -197,10 +197,10 @@ class _Reader:
 
     def _read_compact(self, made: Object, section: Section, count: int) -> None:
         lists = self._file.lists.get(self._index, {})
-        listed = {name: _listed(section) for name, section in lists.items()}
+        texts = {name: listed(section) for name, section in lists.items()}
         read: dict[str | None, Entry] = {}  # by the type that CiA 301 has, where it has one
         for sub in range(1, count + 1):
-            name = listed.get("name", {}).get(sub) or f"{made.name}{sub}"
+            name = texts.get("name", {}).get(sub) or f"{made.name}{sub}"
             letter = standard.standard_letter(self._index, sub)
             if letter not in read:
                 said = len(self._into.findings)
@@ -208,11 +208,11 @@ class _Reader:
                 if sub > 1:
                     del self._into.findings[said:]  # said of the first entry
             entry = self._into.take(replace(read[letter], sub=sub, name=name))
-            entry.denotation = listed.get("denotation", {}).get(sub) or ""
-            text = listed.get("value", {}).get(sub)
+            entry.denotation = texts.get("denotation", {}).get(sub) or ""
+            text = texts.get("value", {}).get(sub)
             if text is not None:
                 value, has_node_id, remark = values.typed(entry.type, text, self._into.node_id)
-                lists["value"].say(str(sub), remark)
+                entry.remark = lists["value"].say(str(sub), remark)
                 if self._into.is_dcf:
                     entry.value = value
                 else:
@@ -336,7 +336,7 @@ class _Reader:
 
     def _value(self, entry: Entry, section: Section, key: str) -> tuple[Value, bool]:
         value, has_node_id, remark = values.typed(entry.type, section.get(key) or "", self._into.node_id)
-        section.say(key, remark)
+        entry.remark = section.say(key, remark)
         return value, has_node_id
 
     def _read_limits(self, entry: Entry, section: Section) -> None:
@@ -377,7 +377,7 @@ def _sub_of(key: str) -> int | None:
     return values.integer(key).value if key[:1].isdigit() else None
 
 
-def _listed(section: Section) -> dict[int, str]:
+def listed(section: Section) -> dict[int, str]:
     """Return the texts of a list by sub-index; ``1`` applies before ``0x1``, else the first."""
     texts: dict[int, str] = {}
     for key, text in section.keys.items():

@@ -59,13 +59,15 @@ class Section:
         """The lines of the section, and an empty one."""
         return [f"[{self.name}]", *(f"{self.written[key]}={value}" for key, value in self.keys.items()), ""]
 
-    def say(self, key: str, what: str) -> None:
-        """Note what is wrong with a key, at its line: ``[name] key=value: what``; nothing for an empty text."""
+    def say(self, key: str, what: str) -> str:
+        """Note what is wrong with a key, at its line: ``[name] key=value: what``; nothing for an empty text. Return it
+        behind its line."""
         if not what:
-            return
-        value = self.get(key)
+            return ""
+        value, line = self.get(key), self.lines.get(key.lower(), self.line)
         shown = f"{key} missing" if value is None else f"{self.written[key.lower()]}={shortened(value)}"
-        self.findings.add(self.lines.get(key.lower(), self.line), f"[{self.name}] {shown}: {what}")
+        self.findings.add(line, f"[{self.name}] {shown}: {what}")
+        return f"{line}: [{self.name}] {shown}: {what}"
 
 
 def shortened(text: str) -> str:

@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 from xml.parsers import expat
-from xml.sax.saxutils import quoteattr
+from xml.sax import saxutils
 
 from canopen_device.core import communication
 from canopen_device.core.object_dictionary import RPDO, TPDO
@@ -13,6 +13,7 @@ from canopen_device.eds.sections import KEYS, MOST_LINES, EdsFile, Findings, Sec
 from canopen_device.eds.standard import PDOS
 from canopen_device.errors import InputError
 from canopen_device.types import Value
+from canopen_device.visible_text import visible_lines
 
 _NAMESPACE = "http://www.canopen.org/xml/1.1"
 _HEADER = """\
@@ -99,6 +100,11 @@ DEEPEST, MOST_ATTRIBUTES = 64, 64
 
 _LONGEST_TEXT = 255  # characters of an element of _IDENTITY
 Attributes = Mapping[str, str]
+
+
+def quoteattr(text: str) -> str:
+    """Return a text as the value of an attribute; control characters, which XML forbids, as escapes."""
+    return saxutils.quoteattr(visible_lines(text))
 
 
 def xdd_text(described: Description, creator: str = "canopen_device") -> str:

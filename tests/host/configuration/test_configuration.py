@@ -125,6 +125,7 @@ def test_a_mapping_by_names_or_numbers_has_its_length(tmp_path: Path) -> None:
         ('[objects]\n"calibration.offset" = [1, 2, 3, 4]\n', "allowed, in hex, with 3 gauges: 00-03"),
         ('[objects]\n"calibration.offset" = [1, "x"]\n', "calibration.offset:2 (0x2101:02): 'x' is not REAL32"),
         ('[objects]\n"calibration.offset" = [1, 1e39]\n', "calibration.offset:2 (0x2101:02): 1e+39 does not fit"),
+        ('[objects]\n"heartbeat.producer_ms" = 1\n"0x1017" = 2\n', "(0x1017:00) is set to 1 and to 2"),
         ('[objects]\n"heartbeat.producer_ms" = [1]\n', "heartbeat.producer_ms:1"),
         ('[objects]\n"tpdo1.cob_id" = 0x185\n', "bit 30 must be set: 0x40000185"),
         ('[objects]\n"tpdo1.mapping" = ["speed"]\n', "no object is called 'speed'"),
@@ -172,6 +173,7 @@ IN_ORDER = {
         '"0x1A01:02" = 0x21200008',
         [(0x1801, 1, 0x80000003), (0x1A01, 0, 0), (0x1A01, 2, 0x21200008), (0x1A01, 0, 3), (0x1801, 1, 3)],
     ),
+    "off before its identifier changes": ('"emcy.cob_id" = 0x90', [(0x1014, 0, 0x80000090), (0x1014, 0, 0x90)]),
     "switched off, it stays off": ('"rpdo1.cob_id" = 0x80000205', [(0x1400, 1, 0x80000205)] * 2),
 }  # fmt: skip
 

@@ -91,7 +91,8 @@ def test_an_eds_needs_the_node_id(tmp_path: Path, gauges: int) -> None:
 def test_what_is_wrong_in_a_dcf(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = tmp_path / "x.dcf"
     text = dcf_text(3, 5, {})
-    assert old in text
+    path.write_text(text.replace("NodeID=0x05", "NodeID=05 ; octal"))
+    assert (old in text, dcf_layout(path).node_id) == (True, 5)
     path.write_text(text.replace(old, new))
     with pytest.raises(InputError, match=message):
         dcf_layout(path)

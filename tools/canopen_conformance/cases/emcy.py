@@ -67,7 +67,7 @@ for command, name in ((129, "reset node"), (130, "reset communication")):
 clear = do.put("B", 0x1003, 0, 0)  # empties the history
 emcy("history 7.5.2.4: an error is entered with its code", HISTORY,
     clear, make_error, do.holds("B", 0x1003, 0, 1), do.matches("I", 0x1003, 1, 0xFFFF, 0x8240, "1003h:1 = ....8240h"))
-emcy("history_order 7.5.2.4: the newest error is sub-index 1, the others move up", (*HISTORY, (0x1016, 1)),
+emcy("history_order 7.5.2.4: the newest error is sub-index 1, the others move up", (*HISTORY, (0x1003, 2), (0x1016, 1)),
     clear, do.put("I", 0x1016, 1, 0x700014), do.send(0x770, "05"), do.expect(EMCY, "30 81 *"), make_error,
     do.matches("I", 0x1003, 1, 0xFFFF, 0x8240, "1003h:1 = ....8240h"),
     do.matches("I", 0x1003, 2, 0xFFFF, 0x8130, "1003h:2 = ....8130h"), do.holds("B", 0x1003, 0, 2))

@@ -51,7 +51,7 @@ nmt("node_id_with_high_bit 7.2.8.3.1: node-id + 128 in the command is not this n
     do.beat(), lambda dut: dut.nmt(wire.START, 0x80 | dut.node_id), do.state(wire.PRE_OPERATIONAL))
 for command in (wire.RESET_NODE, 130):
     nmt("boot_up_once 7.2.8.3.3: the boot-up message is one byte 00, and one message alone", (),
-        do.reset(command), do.silence(), do.silence(HEARTBEAT, ms=10))
+        do.reset(command), do.silence(HEARTBEAT, ms=10), do.silence())
 nmt("boot_up_first 7.2.8.3.3: nothing is sent before the boot-up message", PRODUCER,
     do.enter(wire.OPERATIONAL), do.forget(), do.nmt(wire.RESET_NODE),
     do.silence(*(wire.OF_DEVICE | base for base in (0x80, 0x180, 0x280, 0x380, 0x480, 0x580)), ms=0), do.boot_up())

@@ -67,6 +67,9 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"export {args.format}: --programs is for eds, dcf and xdd; {others}")
     if args.programs and args.eds:
         raise InputError("--programs: the objects are those of the file of --eds; leave one out")
+    for name, only in (("eds", "xdd"), ("settings", "dcf"), ("hand", "ros2")):
+        if getattr(args, name) and args.format != only:
+            raise InputError(f"export {args.format}: --{name} is for {only} alone; leave it out")
     converter = table.CONVERTER_24 if args.bits == 24 else table.CONVERTER_16
     if args.format in ("c", "ros2"):
         return _write_folder(args, converter)

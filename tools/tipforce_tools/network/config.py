@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
@@ -78,7 +78,7 @@ def _opened(args: argparse.Namespace) -> Iterator[tuple[Finger, DeviceObjects, C
     with connection_or(args, error) as connection:
         finger = connection.finger(args.node)
         objects = _objects(finger.sdo, args.gauges, args.eds, error)
-        yield finger, objects, read_configuration(args.file, args.node, objects=objects)
+        yield finger, objects, read_configuration(args.file, args.node, objects=objects, note=common.note)
 
 
 def _diff(args: argparse.Namespace) -> int:
@@ -185,6 +185,8 @@ def _save(args: argparse.Namespace) -> int:
     from tipforce.output_file import EDS, SETTINGS, check_output, write_file
 
     as_dcf = args.file.lower().endswith((".dcf", ".eds"))
+    if args.file.lower().endswith((".xdc", ".xdd")):
+        raise InputError(f"config save {args.file}: allowed are TOML, and a DCF by the suffix .dcf")
     kind = EDS if as_dcf else SETTINGS
     if args.file != "-":
         check_output(args.file, kind)
@@ -196,6 +198,9 @@ def _save(args: argparse.Namespace) -> int:
         if not as_dcf:
             text = settings_toml(chosen, objects, args.node)
         elif isinstance(objects, EdsObjects):
+            had = {place for place in settings if objects.described.find(place).value is not None}  # of --eds FILE.dcf
+            chosen = {place: value for place, value in settings.items() if place in chosen or place in had}
+            _note_lost(args.file, chosen, objects)
             text = dcf.dcf_text(objects.described, chosen)
         else:
             simulated = connection.finger(args.node).identity().simulated
@@ -206,6 +211,13 @@ def _save(args: argparse.Namespace) -> int:
     write_file(args.file, text, kind)
     common.note(f"{args.file}: {len(chosen)} of {len(settings)} settings of {common.shown_node(args.node)}")
     return 0
+
+
+def _note_lost(file: str, chosen: Mapping[tuple[int, int], Value], objects: EdsObjects) -> None:
+    for place, value in chosen.items():
+        entry, kept = objects.settings[place], value.strip() if isinstance(value, str) else value
+        if (kept != value or value in ("", b"")) and value != entry.default:
+            common.note(f"{file}: a DCF cannot hold {entry} = {value!r}, empty or with outer blanks; TOML can")
 
 
 def _read(sdo: SdoChannel, objects: DeviceObjects) -> dict[tuple[int, int], Value]:

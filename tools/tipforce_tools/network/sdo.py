@@ -134,7 +134,7 @@ def _transfer(args: argparse.Namespace, words: list[str], value_text: str | None
             sdo.download(entry.index, entry.sub, data)
             common.note(f"{common.shown_node(args.node)} {entry} = {value_text}")
             return 0
-        value = types.decode(entry.type, sdo.upload(entry.index, entry.sub, entry.type == "D"))
+        value = entry.decode(sdo.upload(entry.index, entry.sub, entry.type == "D"))
     text = types.format_value(entry.type, value)
     shown = text if isinstance(value, bytes) else value
     common.print_record({"node": args.node, **record_of(entry, shown)}, text)

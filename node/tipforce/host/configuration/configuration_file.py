@@ -18,7 +18,7 @@ from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.names import describe
 from tipforce.errors import InputError, NoResponseError, SdoAbortError, placed
-from tipforce.host.configuration.device_objects import DeviceObjects, FingertipObjects, Place
+from tipforce.host.configuration.device_objects import DeviceObjects, EdsObjects, FingertipObjects, Place
 from tipforce.host.network.sdo import SdoChannel, finished
 
 
@@ -26,13 +26,14 @@ def read_settings(
     sdo: SdoChannel, objects: DeviceObjects, advance: Callable[[], None] = lambda: None
 ) -> dict[Place, Value]:
     """Return every setting that a node has; ``advance()`` after each. Raises NoResponseError, for a fingertip also
-    SdoAbortError. What another device does not give as in its EDS, or a text outside ASCII, is left out."""
+    SdoAbortError. What another device does not give as in its EDS, or a text shown with escapes, is left out."""
     values: dict[Place, Value] = {}
     for place, entry in objects.settings.items():
         try:
             content = sdo.upload(*place)
-            if entry.type != "s" or content.isascii():
-                values[place] = entry.decode(content)
+            value = entry.decode(content)
+            if entry.type not in "su" or entry.encode(value).rstrip(b"\0") == content.rstrip(b"\0"):
+                values[place] = value
         except (SdoAbortError, InputError) as error:
             is_missing = isinstance(error, SdoAbortError) and error.code == codes.NO_OBJECT
             if isinstance(objects, FingertipObjects) and not is_missing:
@@ -82,7 +83,8 @@ def settings_toml(settings: Mapping[Place, Value], objects: DeviceObjects, node_
         elif sub == 0:
             words = [int(settings[index, k]) for k in range(1, int(value) + 1) if (index, k) in settings]
             array = known[index, 1].stem if (index, 1) in known else f"0x{index:04X}"
-            written[array] = [objects.name(word >> 16, word >> 8 & 0xFF) or word for word in words]
+            named = [objects.name(word >> 16, word >> 8 & 0xFF) or word for word in words]
+            written[array] = [n if _mapped(n, objects) == word else word for n, word in zip(named, words, strict=True)]
     return tomli_w.dumps({"objects": written}, multiline_strings=False)
 
 
@@ -109,33 +111,48 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def read_configuration(
-    path: str | Path, node_id: int, gauges: int = 3, objects: DeviceObjects | None = None
-) -> Configuration:
+    path: str | Path, node_id: int, gauges: int = 3, objects: DeviceObjects | None = None,
+    note: Callable[[str], object] = lambda _warning: None,
+) -> Configuration:  # fmt: skip
     """Return the content of a file: a DCF or XDC by its extension, otherwise TOML with a table [objects]. ``objects``:
-    by default a fingertip's. Raises InputError naming the file, the object, the value and what is allowed."""
+    by default a fingertip's; ``note`` gets the warnings of a DCF. Raises InputError naming the file, the object, the
+    value and what is allowed, also for a value that the file sets twice."""
     known = FingertipObjects(node_id, gauges) if objects is None else objects
     is_dcf = str(path).lower().endswith((".dcf", ".eds", ".xdc", ".xdd"))
-    stated: list[tuple[str, object]]
-    if is_dcf:
-        from canopen_device.eds.reader import read_eds
-
-        described = [entry for entry in read_eds(path, node_id).entries() if entry.value is not None]
-        stated = [(entry.place, entry.value) for entry in described]
-    else:
-        stated = list(convert(_File, read_table(path, str(path)), str(path)).objects.items())
+    in_toml = {} if is_dcf else convert(_File, read_table(path, str(path)), str(path)).objects
+    stated: Mapping[str, object] = dict(_of_dcf(path, node_id, known, note)) if is_dcf else in_toml
     wanted: Configuration = {}
     with placed(str(path)):
-        for name, value in stated:
+        for name, value in stated.items():
             for entry, single in _single_values(name, value if is_dcf else _numbered(value, node_id), known):
                 if entry.access in ("rw", "wo"):
                     entry.encode(single)
                     known.check(entry, single)
+                    if entry.key in wanted and not _same(entry, wanted[entry.key][1], single):
+                        raise InputError(f"{entry.name} ({entry}) is set to {wanted[entry.key][1]!r} and to {single!r}")
                     wanted[entry.key] = entry, single
                 elif not is_dcf:  # there it is a fact of the device
                     raise InputError(f"{entry.name} ({entry}) is {entry.access} and cannot be configured")
         if not wanted:
             raise InputError("no object is set")
     return dict(sorted(wanted.items()))
+
+
+def _of_dcf(
+    path: str | Path, node_id: int, known: DeviceObjects, note: Callable[[str], object]
+) -> Iterator[tuple[str, Value]]:
+    from canopen_device.eds.description import OTHER
+    from canopen_device.eds.reader import read_eds
+
+    described = read_eds(path, node_id)
+    for warning in described.warnings:
+        note(f"warning: {warning}")
+    for of in described.entries():
+        is_fact = of.access in ("ro", "const") or (isinstance(known, EdsObjects) and known.refuses_write(of))
+        if of.value is not None and not is_fact:
+            if OTHER.fullmatch(of.remark):
+                raise InputError(f"{path}:{of.remark.partition('; ')[0]}")
+            yield of.place, of.value
 
 
 def _numbered(value: object, node_id: int) -> object:
@@ -157,11 +174,14 @@ def _single_values(name: str, value: object, objects: DeviceObjects) -> list[tup
     entries = [objects.resolve(f"0x{first.index:04X}:{k + 1:02X}") for k in range(len(value))]
     if not communication.is_mapping(first.index):
         return [(entry, _typed(entry, item)) for entry, item in zip(entries, value, strict=True)]
-    words = []  # index, sub-index, length in bits (CiA 301, 7.5.2.36)
-    for item in value:
-        of = objects.resolve(item) if isinstance(item, str) else None
-        words.append(item if of is None else of.index << 16 | of.sub << 8 | 8 * (types.data_type(of.type).size or 0))
+    words = [_mapped(item, objects) for item in value]
     return [(objects.resolve(f"0x{first.index:04X}:00"), len(words)), *zip(entries, words, strict=True)]
+
+
+def _mapped(item: Value, objects: DeviceObjects) -> Value:
+    """Return index, sub-index and length in bits of an entry by its name (CiA 301, 7.5.2.36); a number as it is."""
+    of = objects.resolve(item) if isinstance(item, str) else None
+    return item if of is None else of.index << 16 | of.sub << 8 | 8 * (types.data_type(of.type).size or 0)
 
 
 def _typed(entry: Entry[Value], value: object) -> Value:
@@ -187,7 +207,7 @@ async def apply_configuration_async(sdo: SdoChannel, wanted: Configuration, *, b
             await sdo.write_async(entry, value, blocks=blocks)
     except SdoAbortError:
         with contextlib.suppress(SdoAbortError, NoResponseError):
-            for entry, value in _in_order(before, before):
+            for entry, value in _in_order(before, wanted):
                 await sdo.write_async(entry, value, blocks=blocks)
         raise
 
@@ -206,7 +226,8 @@ async def _present(sdo: SdoChannel, wanted: Configuration, blocks: bool) -> Conf
 
 
 def _in_order(values: Configuration, before: Configuration) -> Iterator[tuple[Entry[Value], Value]]:
-    """The writes PDO by PDO: switched off, remapped, its other parameters, its COB-ID (7.5.2.36); then all else."""
+    """The writes PDO by PDO: switched off, remapped, its other parameters, its COB-ID (7.5.2.36); then what changes of
+    other services is switched off, and all else is written, 1006h last: 1019h needs 0 there (7.5.2.22)."""
     final = before | values
     for pdo in _pdos(values):
         mapping = pdo + communication.MAPPING
@@ -219,7 +240,23 @@ def _in_order(values: Configuration, before: Configuration) -> Iterator[tuple[En
             yield count, final[count.key][1]
         yield from (write for (index, sub), write in values.items() if index == pdo and sub != 1)
         yield cob_id, can_id
-    yield from (write for (index, _), write in values.items() if not _is_pdo(index))
+    period = communication.SYNC_PERIOD, 0
+    for place, (entry, value) in values.items():
+        off = _switched_off(*place, value)
+        differs = place == period or place not in before or before[place][1] != value
+        if off is not None and off != value and differs:
+            yield entry, off
+    yield from (write for place, write in values.items() if not _is_pdo(place[0]) and place != period)
+    yield from (write for place, write in values.items() if place == period)
+
+
+def _switched_off(index: int, sub: int, value: Value) -> Value | None:
+    """Return what to write before a value of a service that only changes while it is off; None if it needs nothing."""
+    if index == communication.COB_ID_EMCY or (index >> 8 == communication.SDO_SERVER >> 8 and sub in (1, 2)):
+        return int(value) | codes.COB_ID_INVALID
+    if index == communication.COB_ID_SYNC:
+        return int(value) & ~codes.SYNC_PRODUCER
+    return 0 if index in (communication.SYNC_PERIOD, communication.CONSUMER_HEARTBEAT) else None
 
 
 def _pdos(values: Configuration) -> list[int]:

@@ -21,6 +21,7 @@ Place = tuple[int, int]
 _NO_SETTING = table.VIEW | table.NOT_STORED | table.STAGED
 _ACTIONS = (communication.ERROR_HISTORY, communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS)
 _CONTROLWORD = 0x6040  # of CiA 402
+_REFUSE_WRITE = 1  # of ObjFlags
 
 
 class FingertipObjects:
@@ -76,7 +77,7 @@ class EdsObjects:
         settings: dict[Place, Entry[Value]] = {}
         for of in self.described.entries():
             command = of.access == "rww" or (of.index, of.sub) in mapped or of.index == _CONTROLWORD
-            if of.access in ("rw", "rwr") and not command and of.index not in _ACTIONS and of.letter != "D":
+            if of.access in ("rw", "rwr") and not command and not self.refuses_write(of) and of.letter != "D":
                 settings[of.index, of.sub] = self._entry(of)
         return settings
 
@@ -88,6 +89,11 @@ class EdsObjects:
         """The ParameterName where it is unique, otherwise the number."""
         of = self.described.entry(index, sub)
         return None if of is None else self._entry(of).name
+
+    def refuses_write(self, of: eds.Entry) -> bool:
+        """Whether a DCF does not set the entry: 1003h, 1010h, 1011h, and what ObjFlags refuse (CiA 306-1)."""
+        known = self.described.entry(of.index, of.sub) or of
+        return of.index in _ACTIONS or bool(known.flags & _REFUSE_WRITE)
 
     def _entry(self, of: eds.Entry) -> Entry[Value]:
         from canopen_device.eds.description import COUNTED, folded

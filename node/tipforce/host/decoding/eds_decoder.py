@@ -28,7 +28,24 @@ Values: TypeAlias = Mapping[tuple[int, int], int]
 _MOST_BITS = 64
 
 
-def pdo_message(found: Description, values: Values, name: str, index: int) -> tuple[int, Message] | None:
+def signal_names(described: Description) -> dict[tuple[int, int], str]:
+    """Return a name for each entry, by (index, sub): with its number where one before it, mappable first, has it."""
+    named: dict[str, tuple[int, int]] = {}
+    for entry in sorted(described.entries(), key=lambda entry: not entry.directions):
+        parent = described.objects[entry.index]
+        text = parent.name if set(parent.entries) == {0} else f"{parent.name} {entry.name}"
+        name = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_") or f"x{_numbered(entry)}"
+        named[f"{name}_{_numbered(entry)}" if name in named else name] = entry.index, entry.sub
+    return {place: name for name, place in named.items()}
+
+
+def _numbered(entry: Entry) -> str:
+    return f"{entry.index:04X}_{entry.sub:02X}"
+
+
+def pdo_message(
+    found: Description, names: Mapping[tuple[int, int], str], values: Values, name: str, index: int
+) -> tuple[int, Message] | None:
     """Return the identifier and the layout of the PDO with the communication parameters ``index``; None if invalid. A
     mapped string or DOMAIN, a data type as a placeholder, and an entry that the file does not have are gaps."""
     cob_id = values.get((index, 1))
@@ -43,19 +60,16 @@ def pdo_message(found: Description, values: Values, name: str, index: int) -> tu
     for word in words:
         entry = found.entry(word >> 16, word >> 8 & 0xFF) if word >> 16 >= FIRST_OBJECT else None
         if entry is not None and entry.type.size is not None:
-            signals.append(_signal(found, entry, start, word & 0xFF, {signal.name for signal in signals}))
+            own = names[entry.index, entry.sub]
+            own += f"_{_numbered(entry)}" if own in {signal.name for signal in signals} else ""  # mapped twice
+            signals.append(_signal(own, entry, start, word & 0xFF))
         start += word & 0xFF
     length = (start + 7) // 8
     return cob_id & codes.STANDARD_MASK, Message("tpdo", 0, name, 0, length, tuple(signals), (), True, 255, 0)
 
 
-def _signal(found: Description, entry: Entry, start: int, bits: int, taken: set[str]) -> Signal:
+def _signal(name: str, entry: Entry, start: int, bits: int) -> Signal:
     low, high = entry.type.limits or (0, 0)
-    described = found.objects[entry.index]
-    text = described.name if set(described.entries) == {0} else f"{described.name} {entry.name}"
-    name = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_") or f"x{entry.index:04X}_{entry.sub:02X}"
-    if name in taken:
-        name = f"{name}_{entry.index:04X}_{entry.sub:02X}"
     lowest, highest = float(low if entry.low is None else entry.low), float(high if entry.high is None else entry.high)
     return Signal(
         name, start, bits, low < 0, 1.0, entry.unit, lowest, highest, None, entry.name, entry.index, entry.sub,
@@ -93,7 +107,7 @@ class EdsDecoder(Decoder):
 
 class _Device:
     def __init__(self, described: Description) -> None:
-        self._described = described
+        self._described, self._names = described, signal_names(described)
         self._initial = {
             (entry.index, entry.sub): entry.initial
             for entry in described.entries()
@@ -109,7 +123,7 @@ class _Device:
         for kind, first, last in RANGES:
             for index in sorted(index for index in self._described.objects if first <= index <= last):
                 name = f"{kind}{index - first + 1}"
-                message = pdo_message(self._described, self._values, name, index)
+                message = pdo_message(self._described, self._names, self._values, name, index)
                 messages[name] = message and self._made.setdefault(message, message)
         return messages
 

@@ -118,11 +118,12 @@ def _value(found: EdsFile, path: str | Path, index: int, sub: int, node_id: int)
 
 
 def _number(path: str | Path, place: str, text: str, node_id: int) -> int:
-    """Return a number of an EDS file: a sum of numbers and $NODEID (CiA 306-1, 4.6.3)."""
-    try:
-        return sum(node_id if part.strip().upper() == "$NODEID" else int(part, 0) for part in text.split("+"))
-    except ValueError:
-        raise InputError(f"{path}: {place} = {text!r}: allowed are a number and $NODEID + a number") from None
+    from canopen_device.eds.values import integer
+
+    number, _, remark = integer(text, node_id)
+    if number is None:
+        raise InputError(f"{path}: {place} = {text!r}: {remark}")
+    return number
 
 
 def _dbc_message(path: str | Path, message: DbcMessage) -> tuple[Key, int, Message]:

@@ -33,9 +33,7 @@ def eds_names(files: Iterable[tuple[int, str]], otherwise: Describe) -> Describe
         if node_id not in known:
             return otherwise(node_id, index, sub)
         entry = known[node_id].entry(index, sub)
-        if entry is None:
-            return None
-        return Entry(index, sub, entry.letter, entry.name, entry.access, entry.unit)
+        return None if entry is None else Entry(index, sub, entry.letter, entry.name, entry.access, entry.unit)
 
     return of_file
 
