@@ -110,6 +110,8 @@ def test_resample_means() -> None:
     np.testing.assert_allclose([row[5] for row in found], [mean, nan, nan, nan, 3.0])
     opposite = resampled([table_of([1.0, 1.01], [5, 5], [1.0, 1.0], [0.0, 180.0])], 1.0)
     assert np.isnan(opposite[0][5])
+    now = table_of([1_700_000_000.5], [5], [1.0], [0.0])
+    assert [table.t_ns.tolist() for table in Resampler(3.0).tables([now])] == [[1_700_000_000_333_333_333]]
 
 
 @given(
