@@ -203,6 +203,10 @@ def test_a_log_as_tables_has_what_decode_writes(tmp_path: Path) -> None:
     assert frame["P_N"].max() == np.nanmax(found[3].P_newtons)
     assert len(repr(found).splitlines()) <= 6
     assert len(repr(found[3]).splitlines()) == 5
+    lines = log.read_text().splitlines(keepends=True)
+    for number, part in ((2, lines[:900]), (10, lines[900:])):
+        (tmp_path / f"part-{number}.log").write_text("".join(part))
+    assert tipforce.read_log(tmp_path / "part-*.log").lost == dict.fromkeys(found, 0)
     with pytest.raises(tipforce.InputError, match=r"x\*\.log: no file matches"):
         tipforce.read_log(str(tmp_path / "x*.log"))
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.arrays import occurring
+from tipforce.errors import InputError
 from tipforce.host.decoding.sample_table import NODE_BITS, Table, Values
 from tipforce.host.decoding.services import BusEvent
 from tipforce.host.frames.frame_array import FrameArray
@@ -74,7 +75,9 @@ class McapWriter:
             self._add(place, t_ns, message)
 
     def write(self, table: Table) -> None:
-        """Append the samples of a table."""
+        """Append the samples of a table. Raises InputError for a log without timestamps."""
+        if not table.timed:
+            raise InputError("no timestamps, which MCAP needs; candump -L writes them")
         seconds = table.t_ns // _SECOND_NS
         for second in np.unique(seconds).tolist():
             chunk = table.take(np.flatnonzero(seconds == second))

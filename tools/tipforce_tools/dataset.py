@@ -8,16 +8,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tipforce.errors import InputError, needing
+from tipforce.host.dataset.manifest import NO_DATE, Manifest
 from tipforce.host.dataset.store import FOLDER, Store
+from tipforce.host.decoding.services import NO_TIME
 from tipforce_tools.cli import common
 from tipforce_tools.cli.common import shown_id
 from tipforce_tools.cli.listening import counted
-
-if TYPE_CHECKING:
-    from tipforce.host.dataset.manifest import Manifest
 
 
 def add_show_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,11 +72,11 @@ def record(store: Store, manifest: Manifest, wrong: dict[str, str]) -> dict[str,
         "bytes": sum(file.bytes for file in manifest.files()),
         "lost": sum(lost.values()),
         "nodes": [
-            {"hand": hand, "node": node, "rows": rows, "days": days, "first_s": first / 1e9, "last_s": last / 1e9}
+            {"hand": hand, "node": node, "rows": rows, "days": days, "first_s": _s(first), "last_s": _s(last)}
             for (hand, node), (rows, days, first, last) in sorted(_nodes(manifest).items())
         ],
         "calibrations": [
-            {"channel": channel, "node": node, "crc": crc, "from_s": t_ns / 1e9}
+            {"channel": channel, "node": node, "crc": crc, "from_s": _s(t_ns)}
             for (channel, node), told in _calibrations(manifest)
             for t_ns, crc in told
         ],
@@ -99,12 +98,21 @@ def record(store: Store, manifest: Manifest, wrong: dict[str, str]) -> dict[str,
 
 
 def _nodes(manifest: Manifest) -> dict[tuple[str, int], tuple[int, int, int, int]]:
-    found: dict[tuple[str, int], tuple[int, set[str], int, int]] = {}
+    found: dict[tuple[str, int], tuple[int, set[str], list[int]]] = {}
     for file in manifest.files():
         hand, date = (text.split("=", 1)[1] for text in file.path.split("/")[1:3])
-        rows, days, first, last = found.get((hand, file.node), (0, set(), file.first_ns, file.last_ns))
-        found[hand, file.node] = rows + file.rows, days | {date}, min(first, file.first_ns), max(last, file.last_ns)
-    return {place: (rows, len(days), first, last) for place, (rows, days, first, last) in found.items()}
+        rows, days, times = found.get((hand, file.node), (0, set(), []))
+        if date != NO_DATE:
+            days, times = days | {date}, [*times, file.first_ns, file.last_ns]
+        found[hand, file.node] = rows + file.rows, days, times
+    return {
+        place: (rows, len(days), min(times, default=NO_TIME), max(times, default=NO_TIME))
+        for place, (rows, days, times) in found.items()
+    }
+
+
+def _s(t_ns: int) -> float | None:
+    return None if t_ns == NO_TIME else t_ns / 1e9
 
 
 def _calibrations(manifest: Manifest) -> list[tuple[tuple[str, int], list[tuple[int, int]]]]:
@@ -117,8 +125,10 @@ def _calibrations(manifest: Manifest) -> list[tuple[tuple[str, int], list[tuple[
     return sorted(found.items())
 
 
-def _utc(milliseconds: int) -> str:
-    return (datetime(1970, 1, 1) + timedelta(milliseconds=milliseconds)).isoformat(timespec="milliseconds")
+def _utc(seconds: float | None) -> str:
+    if seconds is None:
+        return "an unknown time"
+    return (datetime(1970, 1, 1) + timedelta(milliseconds=round(seconds * 1000))).isoformat(timespec="milliseconds")
 
 
 def lines(store: Store, manifest: Manifest, wrong: dict[str, str]) -> Iterator[str]:
@@ -129,14 +139,12 @@ def lines(store: Store, manifest: Manifest, wrong: dict[str, str]) -> Iterator[s
         f"{found['bytes'] / 1e6:.1f} MB, generation {manifest.generation}"
     )
     for node in found["nodes"]:
-        first, last = (_utc(round(node[name] * 1000)) for name in ("first_s", "last_s"))
-        yield (
-            f"{node['hand']} node {shown_id(node['node'])}: {node['rows']} samples on "
-            f"{counted(node['days'], 'day')}, {first} to {last}"
-        )
+        first, last = (_utc(node[name]) for name in ("first_s", "last_s"))
+        span = f"on {counted(node['days'], 'day')}, {first} to {last}" if node["days"] else "without times"
+        yield f"{node['hand']} node {shown_id(node['node'])}: {node['rows']} samples {span}"
     for (channel, number), told in _calibrations(manifest):
         if len(told) > 1:
-            texts = ", ".join(f"0x{crc:08X} from {_utc(t_ns // 10**6)}" for t_ns, crc in told)
+            texts = ", ".join(f"0x{crc:08X} from {_utc(_s(t_ns))}" for t_ns, crc in told)
             yield f"{channel} node {number}: rows of {counted(len(told), 'calibration')}: {texts}"
     for log in found["logs"]:
         bad = f", {log['bad']} bad lines" if log["bad"] else ""

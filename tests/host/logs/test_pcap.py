@@ -31,8 +31,8 @@ def cooked(can_id: int, data: bytes, protocol: int = 0x000C) -> bytes:
     return struct.pack(">HHHQH", 0, 280, 0, 0, protocol) + socketcan(can_id, data)
 
 
-def cooked_2(can_id: int, data: bytes) -> bytes:
-    return struct.pack(">HHIHBBQ", 0x000C, 0, 1, 280, 0, 0, 0) + socketcan(can_id, data)
+def cooked_2(can_id: int, data: bytes, index: int = 3) -> bytes:
+    return struct.pack(">HHIHBBQ", 0x000C, 0, index, 280, 0, 0, 0) + socketcan(can_id, data)
 
 
 def pcap(packets: list[bytes], link: int = 227, order: str = "<", magic: int = 0xA1B2C3D4) -> bytes:
@@ -51,15 +51,19 @@ def block(kind: int, body: bytes, order: str) -> bytes:
     return struct.pack(f"{order}I", kind) + length + body + length
 
 
-def pcapng(packets: list[bytes], order: str = "<", link: int = 227, resolution: int = 9) -> bytes:
+def pcapng(
+    packets: list[bytes], order: str = "<", link: int = 227, resolution: int = 9, offset_s: int = 0, kind: int = 6
+) -> bytes:  # fmt: skip
+    """``offset_s``: of the times in the file; ``kind`` 2: the block of packets of older files."""
     text = block(0x0A0D0D0A, struct.pack(f"{order}IHHq", 0x1A2B3C4D, 1, 0, -1), order)
-    options = struct.pack(f"{order}HH4sHHB3xHH", 2, 4, b"can7", 9, 1, resolution, 0, 0)
+    options = struct.pack(f"{order}HH4sHHB3xHHqHH", 2, 4, b"can7", 9, 1, resolution, 14, 8, offset_s, 0, 0)
     text += block(1, struct.pack(f"{order}HHI", link, 0, 0) + options, order)
     text += block(4, b"names of hosts, which nobody asked for", order)
     for number, packet in enumerate(packets):
-        ticks = (T_NS + number * 1_000_000) // 10 ** (9 - resolution)
-        head = struct.pack(f"{order}IIIII", 0, ticks >> 32, ticks & 0xFFFFFFFF, len(packet), len(packet))
-        text += block(6, head + packet, order)
+        ticks = (T_NS - offset_s * 10**9 + number * 1_000_000) // 10 ** (9 - resolution)
+        of_interface = struct.pack(f"{order}I" if kind == 6 else f"{order}HH", *(0, 7)[: 1 + (kind == 2)])
+        head = struct.pack(f"{order}IIII", ticks >> 32, ticks & 0xFFFFFFFF, len(packet), len(packet))
+        text += block(kind, of_interface + head + packet, order)
     return text
 
 
@@ -80,6 +84,8 @@ def test_both_formats(tmp_path: Path, order: str, magic: int, resolution: int) -
     check(path, "can")
     path.write_bytes(pcapng(packets, order, resolution=resolution))
     check(path, "can7")
+    path.write_bytes(pcapng(packets, order, offset_s=1_699_999_000, kind=2))
+    check(path, "can7")
 
 
 def test_cooked_captures(tmp_path: Path) -> None:
@@ -87,7 +93,21 @@ def test_cooked_captures(tmp_path: Path) -> None:
     path.write_bytes(pcap([cooked(*frame) for frame in FRAMES], link=113))
     check(path, "can")
     path.write_bytes(pcap([cooked_2(*frame) for frame in FRAMES], link=276))
-    check(path, "can")
+    check(path, "if3")
+
+
+def test_frames_of_several_interfaces_stay_apart(tmp_path: Path) -> None:
+    path = tmp_path / "x"
+    path.write_bytes(pcap([cooked_2(0x185, b"", index) for index in (3, 4, 3)], link=276))
+    with open_log(path, strict=True) as log:
+        assert (np.concatenate(list(log))["channel"].tolist(), log.channels) == ([0, 1, 0], ["if3", "if4"])
+    text = block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1), "<")
+    text += 2 * block(1, struct.pack("<HHI", 227, 0, 0), "<")  # without names
+    for number in (1, 0):
+        text += block(6, struct.pack("<IIIII", number, 0, 0, 8, 8) + socketcan(0x185, b""), "<")
+    path.write_bytes(text)
+    with open_log(path, strict=True) as log:
+        assert (np.concatenate(list(log))["channel"].tolist(), log.channels) == ([1, 0], ["can", "if1"])
 
 
 def test_what_is_no_classic_frame_is_counted(tmp_path: Path) -> None:

@@ -213,6 +213,15 @@ def test_what_python_can_writes(tmp_path: Path, suffix: str) -> None:
     assert not (frames["flags"] & SENT).any()
 
 
+def test_times_since_the_event_before_and_a_header_without_an_end(tmp_path: Path) -> None:
+    path = tmp_path / "x.asc"
+    frames = [f" 0.250000 {channel}  285             Rx   d 1 07\n" for channel in (1, 2, "Statistic:", 1)]
+    for header, times_ms in (("relative", [250, 500, 1000]), ("absolute", [250, 250, 250])):
+        path.write_text(f"base hex timestamps {header}\n{''.join(frames)}")
+        found, _ = read(path)
+        assert (found["t_ns"] // 10**6).tolist() == times_ms
+
+
 def test_a_time_that_no_frame_can_have_costs_its_record_alone(tmp_path: Path) -> None:
     path = tmp_path / "x.csv"
     with can.Logger(path) as writer:

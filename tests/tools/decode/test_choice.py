@@ -2,16 +2,19 @@
 
 import csv
 import io
+import os
 from datetime import datetime
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from host.bus_with_nodes import beam_calibration, connected, finger, new_channel
 from tipforce.host.configuration.calibration import Calibration, write_calibration
+from tipforce.host.decoding.log import read_log
 from tipforce.host.decoding.pdo_layout import node_layout
 from tipforce.host.decoding.sample_table import Column, Table
 from tipforce.sensor.contact.estimate import force_vector
@@ -47,17 +50,31 @@ def test_part_of_the_time(log: Path, tmp_path: Path, start: str, end: str) -> No
     assert [row["t_s"] for row in found] == [row["t_s"] for row in chosen]
 
 
-def test_relative_time_counts_from_the_first_log(tmp_path: Path) -> None:
+@pytest.mark.parametrize("first", ["", "a pipe"])
+def test_relative_time_counts_from_the_first_log(tmp_path: Path, first: str) -> None:
     lines = log_lines(200, (5,), loss=0.0)
     names = [write_log(tmp_path / f"{k}.log", lines[k * 300 : (k + 1) * 300]) for k in range(2)]
+    if first:  # of which the time of the first frame is not known before it is read
+        read, write = os.pipe()
+        os.write(write, names[0].read_bytes())
+        os.close(write)
+        names[0] = Path(f"/dev/fd/{read}")
+    else:
+        names.insert(0, write_log(tmp_path / "empty.log", []))
     assert decode(*names, "--from", "0.15", "-j", 2, "-o", tmp_path / "part.csv") == 0
     assert len(rows_of(tmp_path / "part.csv")) == 50
 
 
-def test_a_log_without_times(tmp_path: Path) -> None:
-    log = write_log(tmp_path / "screen.log", ["  can0  285   [8]  E8 03 64 00 C8 00 03 01"])
-    assert decode(log, "-o", tmp_path / "a.csv") == 0
-    assert rows_of(tmp_path / "a.csv")[0]["t_s"] == ""
+def test_a_log_without_times(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = write_log(tmp_path / "screen.log", ["  can0  285   [8]  E8 03 64 00 C8 00 03 01", "  can0  705   [1]  00"])
+    assert decode(log, "-o", tmp_path / "a.csv") == decode(log, "-o", f"{tmp_path}/data/") == 0
+    assert {row["t_s"] for name in ("a.csv", "a.events.csv") for row in rows_of(tmp_path / name)} == {""}
+    assert pq.read_table(tmp_path / "data" / "events")["t_s"].to_pylist() == [None]
+    assert main(["dataset", "show", str(tmp_path / "data")]) == 0
+    assert "node 5 (0x05): 1 samples without times" in capsys.readouterr().out
+    for name in (log, tmp_path / "data"):
+        samples = read_log(name)[5]
+        assert (str(samples.t_s), samples.to_arrow()["t_s"].null_count) == ("[nan]", 1)
 
 
 def table_of(t_s: list[float], key: list[int], force: list[float], phi: list[float]) -> Table:
@@ -93,6 +110,8 @@ def test_resample_means() -> None:
     np.testing.assert_allclose([row[5] for row in found], [mean, nan, nan, nan, 3.0])
     opposite = resampled([table_of([1.0, 1.01], [5, 5], [1.0, 1.0], [0.0, 180.0])], 1.0)
     assert np.isnan(opposite[0][5])
+    now = table_of([1_700_000_000.5], [5], [1.0], [0.0])
+    assert [table.t_ns.tolist() for table in Resampler(3.0).tables([now])] == [[1_700_000_000_333_333_333]]
 
 
 @given(

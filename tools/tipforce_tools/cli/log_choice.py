@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import re
 import sys
 from argparse import Namespace
@@ -13,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
-from tipforce.host.dataset.reader import start_of
-from tipforce.host.dataset.store import is_dataset, is_url, local_copy
+from tipforce.host.dataset.reader import logs_named, start_of
+from tipforce.host.dataset.store import is_dataset, local_copy
 from tipforce.host.decoding.log_part import Reading, When
 from tipforce.host.decoding.pdo_layout import Layouts, dcf_layout, node_layout, signals_named, with_layouts
 from tipforce.shipped_files import file_or_shipped
@@ -32,16 +31,7 @@ def logs(words: Sequence[str]) -> list[str]:
     """Return the logs that words and globs name, default stdin; of a URL a local copy. Raises InputError."""
     if not words and sys.stdin.isatty():
         raise InputError("no log: name one (`tipforce decode run.log`), or pipe candump text to stdin")
-    found: list[str] = []
-    for word in words or [STDIN]:
-        matches = [word]
-        if word != STDIN and not is_url(word) and not Path(word).exists():
-            matches = glob.glob(word, recursive=True) if glob.has_magic(word) else []
-            # run-2.log before run-10.log
-            matches.sort(key=lambda name: [(int(p), "") if p.isdigit() else (-1, p) for p in re.split(r"(\d+)", name)])
-            if not matches:
-                raise InputError(f"{word}: no {'file matches' if glob.has_magic(word) else 'such file'}")
-        found += matches
+    found = [name for word in words or [STDIN] for name in ([word] if word == STDIN else logs_named(word))]
     for name in found:
         if name != STDIN and Path(name).is_dir() and not is_dataset(name):
             raise InputError(f"{name}: is a directory; name its logs: {name.rstrip('/')}/*.log")
@@ -122,8 +112,10 @@ def reading(args: Namespace, names: Sequence[str], chosen: Layouts, signals: tup
         strict=args.strict, follow=args.follow, deltas=args.deltas,
     )  # fmt: skip
     relative = any(limit is not None and limit.relative for limit in (start, end))
-    if relative and names[0] != STDIN and not Path(names[0]).is_fifo():
-        found = replace(found, origin_ns=start_of(names[0]))
+    for name in names if relative else ():
+        if name == STDIN or Path(name).is_fifo() or found.origin_ns is not None:
+            break
+        found = replace(found, origin_ns=start_of(name))
     return found
 
 

@@ -127,8 +127,10 @@ class Resampler:
                 columns.append(counted(f"n_{column.name}"))
                 values[columns[-1].name] = sums[column.name][:, 0].astype(np.int64)
         period = 1e9 / self._rate_hz
-        interval, whole = groups.interval, period == round(period)
-        t_ns = interval * round(period) if whole else np.rint(interval * period).astype(np.int64)
+        t_ns = groups.interval * round(period)
+        if period != round(period):
+            seconds, rest = np.divmod(groups.interval, self._rate_hz)
+            t_ns = seconds.astype(np.int64) * 1_000_000_000 + np.rint(rest * period).astype(np.int64)
         no_counter = np.full(len(t_ns), NO_COUNTER, dtype=np.int64)
         cyclic = np.ones(len(t_ns), dtype=np.bool_)
         return Table(t_ns, groups.key, no_counter, cyclic, tuple(columns), values, {}, self._channels)

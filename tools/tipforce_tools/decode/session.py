@@ -282,10 +282,9 @@ def _looked_ahead(tables: Iterable[Table]) -> Iterator[Table]:
 def pieces_of(args: Namespace, kind: str, names: Sequence[str]) -> list[Piece]:
     """Return the logs in pieces that workers decode and write; none for rows that pass through this process. Large logs
     are cut: equally many pieces per job, of bounded size."""
-    live = not _to_file(args) or args.follow or "-" in names
-    if live or kind not in _JOINED or args.resample is not None or args.calibration:
-        return []
-    if args.eds or any(map(is_dataset, names)):  # SDO traffic is followed in sequence; a dataset's rows are only read
+    here = not _to_file(args) or args.follow or kind not in _JOINED or args.resample is not None or args.calibration
+    # SDO traffic is followed in sequence; stdin and pipes are read once, and a dataset's rows only read.
+    if here or args.eds or not all(map(os.path.isfile, names)):
         return []
     jobs, sizes = _jobs(args), list(map(os.path.getsize, names))
     if args.scheduler is not None:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import Column, Table, place_of
-from tipforce.host.decoding.services import BusEvent
+from tipforce.host.decoding.services import NO_TIME, BusEvent
 from tipforce.output_file import Kind, write_file
 from tipforce.samples.reasons import CAUSES
 from tipforce_tools.cli.common import shown_id
@@ -136,8 +136,8 @@ def record(summary: Summary, recording: Recording, output: str | None) -> dict[s
         "bad": bad_lines(recording),
         "skipped": sum((Counter(notes.skipped) for notes in recording.notes), Counter()),
         "events": [
-            dict(zip(EVENT_COLUMNS, (event.t_ns / 1_000_000_000, *event[1:]), strict=True))
-            for event in recording.bus.found
+            dict(zip(EVENT_COLUMNS, (None if of.t_ns == NO_TIME else of.t_ns / 1e9, *of[1:]), strict=True))
+            for of in recording.bus.found
         ],
         "nodes": [_node_record(summary, recording, place) for place in sorted(summary.samples)],
     }

@@ -94,7 +94,7 @@ def events_file(store: Store, token: str, name: str, events: Sequence[BusEvent])
 
     from tipforce_tools.writing.parquet import events_table
 
-    times = [event.t_ns // 1000 * 1000 for event in events]
+    times = [max(event.t_ns, 0) // 1000 * 1000 for event in events]
     file = DataFile(f"{manifests.EVENTS}/{name}.parquet", 0, len(events), 0, "", min(times), max(times))
     with store.scratch(f"{FOLDER}/{token}") as folder:
         pyarrow.parquet.write_table(events_table(events), folder / "events")

@@ -13,10 +13,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tipforce.host.decoding.sample_table import Column, Table, is_missing
+from tipforce.host.decoding.services import NO_TIME, BusEvent
 from tipforce_tools.writing.text_rows import BASE, CHANNEL, COUNTER, EVENT_COLUMNS, NODE, TIME, event_rows
 
 if TYPE_CHECKING:
-    from tipforce.host.decoding.services import BusEvent
     from tipforce_tools.writing.writers import Shape
 
 ROW_GROUP_ROWS = 1 << 18
@@ -83,7 +83,8 @@ def _bits(values: Any) -> Any:
 
 def events_table(events: Sequence[BusEvent]) -> pa.Table:
     """Return events as the rows of a dataset's file of events."""
-    rows = [(event.t_ns // 1000, *row[1:]) for event, row in zip(events, event_rows(events), strict=True)]
+    times = (event.t_ns // 1000 if event.t_ns != NO_TIME else None for event in events)
+    rows = [(t_us, *row[1:]) for t_us, row in zip(times, event_rows(events), strict=True)]
     columns = zip(*rows, strict=True)
     return pa.table([pa.array(column, kind) for column, kind in zip(columns, EVENTS.types, strict=True)], EVENTS)
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.host.decoding.sample_table import Column, Table, Values, is_missing
-from tipforce.host.decoding.services import BusEvent
+from tipforce.host.decoding.services import NO_TIME, BusEvent
 from tipforce.samples import reasons
 
 Cells = npt.NDArray[np.uint8]
@@ -261,5 +261,5 @@ def _people_cells(column: Column, table: Table) -> Cells:
 def event_rows(events: Sequence[BusEvent]) -> Iterator[tuple[str, str, int, str, str, str]]:
     """Yield the cells of each event."""
     for event in events:
-        t_s = f"{event.t_ns // 1_000_000_000}.{event.t_ns % 1_000_000_000:09d}"
+        t_s = "" if event.t_ns == NO_TIME else f"{event.t_ns // 1_000_000_000}.{event.t_ns % 1_000_000_000:09d}"
         yield t_s, event.channel, event.node_id, event.kind, f"0x{event.code:04X}", event.text

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import glob
 import os
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -13,7 +15,7 @@ import numpy as np
 
 from tipforce.arrays import IntArray
 from tipforce.errors import EnvironmentLackError, InputError, LogError
-from tipforce.host.dataset.store import Store, is_dataset, local_copy
+from tipforce.host.dataset.store import Store, is_dataset, is_url, local_copy
 from tipforce.host.decoding.counters import Tally
 from tipforce.host.decoding.log_part import Piece, Progress, Reading
 from tipforce.host.decoding.recording import Recording, Tap
@@ -42,6 +44,16 @@ def opened(name: str) -> tuple[Store, Manifest]:
     if (manifest := read_manifest(store)) is None:
         raise InputError(f"{name}: is not a dataset of `tipforce decode -o DIR/`")
     return store, manifest
+
+
+def logs_named(word: str) -> list[str]:
+    """Return the logs of a name or a pattern, run-2.log before run-10.log. Raises InputError where there is none."""
+    if is_url(word) or os.path.exists(word):
+        return [word]
+    names = glob.glob(word, recursive=True) if glob.has_magic(word) else []
+    if not names:
+        raise InputError(f"{word}: no {'file matches' if glob.has_magic(word) else 'such file'}")
+    return sorted(names, key=lambda name: [(int(p), "") if p.isdigit() else (-1, p) for p in re.split(r"(\d+)", name)])
 
 
 def start_of(name: str) -> int | None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import glob
 import logging
-import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from os import PathLike, fspath
@@ -43,7 +41,7 @@ class NodeLog(Contacts):
 
     node_id: int
     t_s: FloatArray
-    """(k,) time of reception, seconds of the epoch."""
+    """(k,) time of reception, seconds of the epoch; NaN in a log without timestamps."""
     counter: npt.NDArray[np.int64]
     """(k,) sample counter without wrap, -1 if the PDO has none."""
     microstrain: FloatArray
@@ -58,7 +56,8 @@ class NodeLog(Contacts):
 
     def _lines(self) -> Iterator[str]:
         span_s = self.t_s[-1] - self.t_s[0] if len(self) else 0.0
-        yield f"NodeLog of node {self.node_id}: {len(self)} samples in {span_s:.3f} s"
+        times = "without times" if np.isnan(span_s) else f"in {span_s:.3f} s"
+        yield f"NodeLog of node {self.node_id}: {len(self)} samples {times}"
         for name in ("P_newtons", "phi_deg", "theta_deg"):
             known = getattr(self, name)[np.isfinite(getattr(self, name))]
             limits = f"{known.min():.3f} to {known.max():.3f}, " if len(known) else ""
@@ -69,7 +68,9 @@ class NodeLog(Contacts):
         """Return the samples as an Arrow table, with the names, types and units of `tipforce decode -o x.parquet`. An
         unknown value is null. ``status`` holds the bits of ``Status``. Raises EnvironmentLackError without pyarrow."""
         pa = _pyarrow()
-        times = pa.array((self.t_s * 1e6).round().astype(np.int64), pa.timestamp("us", tz="UTC"))
+        untimed = np.isnan(self.t_s)
+        us = np.where(untimed, 0.0, self.t_s * 1e6).round().astype(np.int64)
+        times = pa.array(us, pa.timestamp("us", tz="UTC"), mask=untimed)
         arrays = {"t_s": times, "node": pa.array(np.full(len(self), self.node_id, dtype=np.uint8)),
                   "counter": pa.array(self.counter, mask=self.counter < 0)}  # fmt: skip
         forces = {f"F{k + 1}_N": self.F_newtons[:, k] for k in range(3)}
@@ -158,10 +159,10 @@ def read_log(
     ``calibration``: one, or by node-id: it estimates P, phi and theta from all gauges, else gives their uncertainties.
     ``gauges``: default the calibration's, or 3. ``channel``: of several buses. ``strict``: raise at the first bad line.
     Raises InputError for an unusable log, no frame, an unknown channel, a node on two buses, other gauges."""
-    from tipforce.host.dataset.reader import tables_of_logs  # its import costs time
+    from tipforce.host.dataset.reader import logs_named, tables_of_logs  # its import costs time
 
     paths = [path] if isinstance(path, str | PathLike) else path
-    names = [name for pattern in paths for name in _files(fspath(pattern))]
+    names = [name for pattern in paths for name in logs_named(fspath(pattern))]
     given: dict[int | None, Calibration] = {}
     if isinstance(calibration, Mapping):
         given.update(calibration.items())
@@ -189,16 +190,6 @@ def read_log(
     return Log(nodes, lost, sum(sum(notes.bad.values()) for notes in recording.notes), unseen)
 
 
-def _files(pattern: str) -> list[str]:
-    """Return the files that match a pattern, by name; a path without ``*?[``, or of a file that exists, itself."""
-    if not glob.has_magic(pattern) or os.path.exists(pattern):
-        return [pattern]
-    names = sorted(glob.glob(pattern, recursive=True))
-    if not names:
-        raise InputError(f"{pattern}: no file matches")
-    return names
-
-
 def _gauges(counts: set[int]) -> int:
     if len(counts) > 1:
         raise InputError(f"nodes or calibrations of {sorted(counts)} gauges: all nodes of one log need the same number")
@@ -208,6 +199,7 @@ def _gauges(counts: set[int]) -> int:
 def _node_log(node_id: int, tables: list[Table], n: int, calibration: Calibration | None) -> NodeLog:
     """Return the samples of one node, which occurs in each of ``tables``."""
     t_ns, counter = (np.concatenate([getattr(part, name) for part in tables]) for name in ("t_ns", "counter"))
+    t_s = np.concatenate([part.t_ns * (1e-9 if part.timed else np.nan) for part in tables])
     gauges, unknown = [f"SG{gauge + 1}" for gauge in range(n)], np.full(len(t_ns), np.nan)
     of_signal = {column.signal: column for part in tables for column in part.columns}
     columns = dict.fromkeys(gauges, unknown) | {
@@ -227,4 +219,4 @@ def _node_log(node_id: int, tables: list[Table], n: int, calibration: Calibratio
     F_newtons = np.stack([columns.get(name, unknown) for name in forces], axis=-1).astype(np.float64)
     others = {name: of for name, of in columns.items() if name not in {"P", "phi", "theta", *forces, *gauges}}
     P, phi, theta, u_P, u_phi, u_theta = values.T
-    return NodeLog(P, phi, theta, u_P, u_phi, u_theta, status, node_id, t_ns * 1e-9, counter, strain, F_newtons, others)
+    return NodeLog(P, phi, theta, u_P, u_phi, u_theta, status, node_id, t_s, counter, strain, F_newtons, others)

@@ -95,7 +95,7 @@ class Source(LogReader):
             piece.name, strict=reading.strict, follow=reading.follow and piece.name != "-", deltas=reading.deltas,
             part=(piece.start, piece.end), stop=reading.stop,
         )  # fmt: skip
-        self._reading, self._origin, self._progress = reading, reading.origin_ns, progress
+        self._reading, self.origin_ns, self._progress = reading, reading.origin_ns, progress
 
     def __iter__(self) -> Iterator[FrameArray]:
         """Yield blocks of frames, none empty. Raises InputError, StrictError."""
@@ -126,9 +126,9 @@ class Source(LogReader):
         if reading.start is not None or reading.end is not None:
             if not self.timed:
                 raise InputError(f"{self.source}: the log has no timestamps, so --from and --to are not possible")
-            if self._origin is None:
-                self._origin = int(block["t_ns"][0])
-            block = within(block, *reading.limits(self._origin))
+            if self.origin_ns is None:
+                self.origin_ns = int(block["t_ns"][0])
+            block = within(block, *reading.limits(self.origin_ns))
         if reading.buses is not None:
             wanted = np.array([name in reading.buses for name in self.channels] or [False])
             block = block.compress(wanted[block["channel"]])

@@ -7,7 +7,7 @@ from __future__ import annotations
 import pickle
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any, TypeVar
 
@@ -103,7 +103,7 @@ class Recording:
         self._take_notes(passed.notes)
         self._set(passed.state)
         for frames in passed.services:
-            self.bus.add(frames, passed.notes.channels)
+            self.bus.add(frames, passed.notes.channels, passed.notes.timed)
         self._see()
 
     def _set(self, state: State) -> None:
@@ -138,12 +138,13 @@ class Recording:
             for block in source:
                 if tap is not None:
                     tap(block, source.channels)
-                self.bus.add(block, source.channels)
+                self.bus.add(block, source.channels, source.timed)
                 self._merger.timed = before and source.timed
                 yield from self._finished(self._merger.tables(renumbered(block, self.numbers_of(source.channels))))
         except StrictError as error:
             raise self.numbered(error) from None
         finally:
+            self.reading = replace(self.reading, origin_ns=source.origin_ns)  # of a pipe it was not known before
             self._take_notes(source)
 
     def numbered(self, error: StrictError) -> StrictError:

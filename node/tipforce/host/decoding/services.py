@@ -31,11 +31,15 @@ class Service(NamedTuple):
     text: str
 
 
+NO_TIME = -1
+
+
 class BusEvent(NamedTuple):
     """An EMCY, a change of an NMT state or of the calibration, or two nodes with one node-id. ``kind``: "emcy",
     "emcy_reset", "boot_up", "state", "calibration" or "duplicate"."""
 
     t_ns: int
+    """NO_TIME of a log without timestamps."""
     channel: str
     node_id: int
     kind: str
@@ -102,8 +106,8 @@ class BusEvents:
         self._duplicates: dict[str, DuplicateNodes] = {}
         self._doubled: set[tuple[str, int]] = set()
 
-    def add(self, frames: FrameArray, channels: Sequence[str]) -> None:
-        """Add the events among FRAME (n,); ``channels`` are the interfaces by number."""
+    def add(self, frames: FrameArray, channels: Sequence[str], timed: bool = True) -> None:
+        """Add the events among FRAME (n,), which may not be ``timed``; ``channels`` are the interfaces by number."""
         chosen = services(frames)
         for number, (t_ns, can_id, content) in zip(chosen["channel"].tolist(), raw_frames(chosen), strict=True):
             channel, node_id = channels[number], can_id & codes.NODE_ID_MASK
@@ -112,7 +116,7 @@ class BusEvents:
                 double = None if duplicate is None else ("duplicate", 0, str(duplicate))
                 for event in (double, _event(can_id - node_id, content)):
                     if event is not None:
-                        self._append(BusEvent(t_ns, channel, node_id, *event))
+                        self._append(BusEvent(t_ns if timed else NO_TIME, channel, node_id, *event))
 
     def _append(self, event: BusEvent) -> None:
         """Add an event, unless it repeats the state or the calibration of its node, or that two nodes have its id."""

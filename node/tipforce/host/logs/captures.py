@@ -1,6 +1,6 @@
 """Read CAN frames from captures: pcap, pcapng (drafts of the IETF opsawg), and MCAP (can_msgs/Frame). Link types: 227
 (SocketCAN, CAN ID in network byte order), and Linux' cooked captures 113 and 276 with protocols 000Ch (CAN) and 000Dh
-(CAN FD)."""
+(CAN FD); the interfaces of 276 are named by their index: if3."""
 
 import struct
 from collections.abc import Iterable, Iterator
@@ -20,9 +20,10 @@ SOCKETCAN, COOKED, COOKED_2 = 227, 113, 276
 _CAN, _CAN_FD = 0x000C, 0x000D
 _FD_FLAG = 0x04  # CANFD_FDF in the byte after the length
 _FD_BYTES = 72
-_SECTION, _INTERFACE, _SIMPLE, _ENHANCED = 0x0A0D0D0A, 1, 3, 6
+_SECTION, _INTERFACE, _SIMPLE = 0x0A0D0D0A, 1, 3
+_PACKETS = {2: "H2xIIII", 6: "IIIII"}  # the block of older files, and the enhanced one
 _BYTE_ORDER_MAGIC = 0x1A2B3C4D
-_NAME_OPTION, _RESOLUTION_OPTION = 2, 9
+_NAME_OPTION, _RESOLUTION_OPTION, _OFFSET_OPTION = 2, 9, 14
 _LONGEST_BLOCK = 1 << 20
 _SOCKETCAN_HEAD = struct.Struct(">IBB")
 _UNIT_OF_MAGIC = {0xA1B2C3D4: 1000, 0xA1B23C4D: 1}  # ns per unit of the fraction
@@ -32,6 +33,7 @@ class _Interface(NamedTuple):
     link: int
     channel: int
     ticks_per_s: int
+    offset_ns: int = 0
 
 
 _File: TypeAlias = "BufferedReader[FileIO]"
@@ -49,21 +51,23 @@ def pcap_blocks(path: Path, notes: LogNotes) -> Iterator[CandumpBlock]:
 
 def _packet_row(packet: _Packet, path: Path, notes: LogNotes) -> bytes | FdFrame:
     t_ns, interface, data = packet
-    is_fd, is_can = False, interface.link == SOCKETCAN
+    is_fd, is_can, channel = False, interface.link == SOCKETCAN, interface.channel
     if interface.link in {COOKED, COOKED_2}:
         start, size = (14, 16) if interface.link == COOKED else (0, 20)
         protocol = int.from_bytes(data[start : start + 2], "big")
+        if start == 0 and protocol in {_CAN, _CAN_FD}:  # of any interface: its index is in the packet
+            channel = _channel(f"if{int.from_bytes(data[4:8], 'big')}", path, notes)
         data, is_fd, is_can = data[size:], protocol == _CAN_FD, protocol in {_CAN, _CAN_FD}
     if is_can and len(data) >= 8:
         can_id, length, flags = _SOCKETCAN_HEAD.unpack_from(data)
         if is_fd or flags & _FD_FLAG or len(data) == _FD_BYTES:
             notes.skip(FD)
             data = data[8 : 8 + min(length, 64)]
-            return FdFrame(0, t_ns, can_id, flags & (BIT_RATE_SWITCH | ERROR_STATE), data, interface.channel, False)
+            return FdFrame(0, t_ns, can_id, flags & (BIT_RATE_SWITCH | ERROR_STATE), data, channel, False)
         carried = 0 if can_id & REMOTE_FLAG else length
         payload = data[8 : 8 + carried]
         if length <= 8 and len(payload) == carried and 0 <= t_ns < 1 << 63:
-            return PACK_FRAME(t_ns, can_id, length, interface.channel, 0, payload)
+            return PACK_FRAME(t_ns, can_id, length, channel, 0, payload)
     notes.note_bad("not CAN", f"{path}: a packet that is cut, or not a CAN frame (link type {interface.link})")
     return b""
 
@@ -71,7 +75,7 @@ def _packet_row(packet: _Packet, path: Path, notes: LogNotes) -> bytes | FdFrame
 def _pcap(file: _File, order: str, path: Path, notes: LogNotes) -> Iterator[_Packet]:
     magic, _, _, _, _, _, link = struct.unpack(f"{order}IHHiIII", _exactly(file, 24))
     unit = _UNIT_OF_MAGIC[magic]
-    interface = _Interface(link & 0x0FFFFFFF, _channel("can", path, notes), 1_000_000_000 // unit)
+    interface = _Interface(link & 0x0FFFFFFF, _channel("can", path, notes, link), 1_000_000_000 // unit)
     head = struct.Struct(f"{order}IIII")
     while file.peek(1):
         seconds, fraction, length, _ = head.unpack(_exactly(file, head.size))
@@ -92,14 +96,15 @@ def _pcapng(file: _File, path: Path, notes: LogNotes) -> Iterator[_Packet]:
             raise ValueError(f"a block of {length} bytes")
         body = _exactly(file, length - 8)[:-4]
         if kind == _INTERFACE:
-            interfaces.append(_interface(body, order, path, notes))
-        elif kind == _ENHANCED:
-            number, high, low, captured, _ = struct.unpack_from(f"{order}IIIII", body)
+            unnamed = f"if{len(interfaces)}" if interfaces else "can"
+            interfaces.append(_interface(body, order, unnamed, path, notes))
+        elif kind in _PACKETS:
+            number, high, low, captured, _ = struct.unpack_from(order + _PACKETS[kind], body)
             if number >= len(interfaces):
                 raise ValueError(f"a packet of interface {number}, which is not described")
             source = interfaces[number]
             t_ns = (high << 32 | low) * 1_000_000_000 // source.ticks_per_s
-            yield t_ns, source, body[20 : 20 + captured]
+            yield t_ns + source.offset_ns, source, body[20 : 20 + captured]
         elif kind == _SIMPLE:
             notes.timed = False
             if not interfaces:
@@ -107,9 +112,9 @@ def _pcapng(file: _File, path: Path, notes: LogNotes) -> Iterator[_Packet]:
             yield 0, interfaces[0], body[4:]
 
 
-def _interface(body: bytes, order: str, path: Path, notes: LogNotes) -> _Interface:
+def _interface(body: bytes, order: str, name: str, path: Path, notes: LogNotes) -> _Interface:
     link = struct.unpack_from(f"{order}H", body)[0]
-    name, ticks_per_s, place = "can", 1_000_000, 8
+    ticks_per_s, offset_s, place = 1_000_000, 0, 8
     while place + 4 <= len(body):
         code, length = struct.unpack_from(f"{order}HH", body, place)
         value = body[place + 4 : place + 4 + length]
@@ -117,14 +122,16 @@ def _interface(body: bytes, order: str, path: Path, notes: LogNotes) -> _Interfa
             name = value.decode("utf-8", "replace").rstrip("\0") or name
         elif code == _RESOLUTION_OPTION and value:
             ticks_per_s = 1 << (value[0] & 0x7F) if value[0] & 0x80 else 10 ** min(value[0], 18)
+        elif code == _OFFSET_OPTION and length == 8:
+            (offset_s,) = struct.unpack(f"{order}q", value)
         elif code == 0:
             break
         place += 4 + (length + 3) // 4 * 4
-    return _Interface(link, _channel(name, path, notes), ticks_per_s)
+    return _Interface(link, _channel(name, path, notes, link), ticks_per_s, offset_s * 1_000_000_000)
 
 
-def _channel(name: str, path: Path, notes: LogNotes) -> int:
-    channel = notes.channel(name, path)
+def _channel(name: str, path: Path, notes: LogNotes, link: int = SOCKETCAN) -> int:
+    channel = 0 if link & 0x0FFFFFFF == COOKED_2 else notes.channel(name, path)  # its packets have their own
     if channel is None:
         raise InputError(f"{path}: more than {len(notes.channels)} different interfaces")
     return channel

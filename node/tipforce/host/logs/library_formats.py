@@ -5,6 +5,7 @@ import sqlite3
 import struct
 from collections.abc import Generator, Iterator
 from contextlib import closing
+from decimal import Decimal
 from functools import partial
 from io import BufferedReader, TextIOWrapper
 from pathlib import Path
@@ -20,6 +21,8 @@ from tipforce.host.logs.notes import FD, UNREADABLE, LogNotes, suffix_of
 _OBJECT = struct.Struct("<4sHHII")  # of BLF: signature, length of the header, version, length, type
 _CONTAINER, _CONTAINER_HEAD = 10, 16
 _LONGEST_OBJECT = 1 << 20
+_ASC_BASE = re.compile(r"\s*base\s+(?:hex|dec)(\s+timestamps\s+relative)?", re.IGNORECASE)
+_ASC_TIME = re.compile(r"\s*(\d+\.\d+)(?=\s)", re.ASCII)
 _COMPUTED = re.compile(r"\bAS\s*\(|\bVIRTUAL\b", re.IGNORECASE)
 
 
@@ -62,11 +65,32 @@ def message_reader(path: Path) -> Any:
         source: Any = decompressed(file, str(path))
         if kind is None:
             return _BlfReader(BufferedReader(source), path)
-        text = TextIOWrapper(BufferedReader(BoundedLines(source, file, str(path))), "utf-8", "replace")
-        return kind(text, **({"relative_timestamp": False} if suffix == ".asc" else {}))
+        lines = BufferedReader(BoundedLines(source, file, str(path)))
+        if suffix == ".asc":
+            return kind(_AscText(lines, "utf-8", "replace"), relative_timestamp=False)
+        return kind(TextIOWrapper(lines, "utf-8", "replace"))
     except BaseException:
         file.close()
         raise
+
+
+class _AscText(TextIOWrapper):
+    """The lines of an ASC file with times since its start. python-can takes times since the event before ("timestamps
+    relative") for them, and discards the line that ends the header, even a frame: here an empty line ends it."""
+
+    _next, _in_header, _relative, _time_s = "", False, False, Decimal(0)
+
+    def __next__(self) -> str:  # type: ignore[override]
+        line, self._next = self._next or super().__next__(), ""
+        if base := _ASC_BASE.match(line):
+            self._in_header, self._relative = True, base[1] is not None
+        elif (self._in_header or self._relative) and (stamp := _ASC_TIME.match(line)):
+            if self._in_header:
+                self._in_header, self._next = False, line
+                return "\n"
+            self._time_s += Decimal(stamp[1])
+            line = f"{self._time_s}{line[stamp.end() :]}"
+        return line
 
 
 def _check_table(path: Path) -> None:
