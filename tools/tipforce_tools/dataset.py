@@ -98,21 +98,13 @@ def record(store: Store, manifest: Manifest, wrong: dict[str, str]) -> dict[str,
 
 
 def _nodes(manifest: Manifest) -> dict[tuple[str, int], tuple[int, int, int, int]]:
-    found: dict[tuple[str, int], tuple[int, set[str], list[int]]] = {}
+    found: dict[tuple[str, int], tuple[int, set[str], int, int]] = {}
     for file in manifest.files():
         hand, date = (text.split("=", 1)[1] for text in file.path.split("/")[1:3])
-        rows, days, times = found.get((hand, file.node), (0, set(), []))
-        if date != NO_DATE:
-            days, times = days | {date}, [*times, file.first_ns, file.last_ns]
-        found[hand, file.node] = rows + file.rows, days, times
-    return {
-        place: (rows, len(days), min(times, default=NO_TIME), max(times, default=NO_TIME))
-        for place, (rows, days, times) in found.items()
-    }
-
-
-def _s(t_ns: int) -> float | None:
-    return None if t_ns == NO_TIME else t_ns / 1e9
+        span = (NO_TIME, NO_TIME) if date == NO_DATE else (file.first_ns, file.last_ns)
+        rows, days, first, last = found.get((hand, file.node), (0, set(), *span))
+        found[hand, file.node] = rows + file.rows, days | {date}, min(first, span[0]), max(last, span[1])
+    return {place: (rows, len(days), first, last) for place, (rows, days, first, last) in found.items()}
 
 
 def _calibrations(manifest: Manifest) -> list[tuple[tuple[str, int], list[tuple[int, int]]]]:
@@ -123,6 +115,10 @@ def _calibrations(manifest: Manifest) -> list[tuple[tuple[str, int], list[tuple[
         if not of_node or of_node[-1][1] != crc:  # logs that were added apart tell it again
             of_node.append((t_ns, crc))
     return sorted(found.items())
+
+
+def _s(t_ns: int) -> float | None:
+    return None if t_ns == NO_TIME else t_ns / 1e9
 
 
 def _utc(seconds: float | None) -> str:
@@ -140,8 +136,10 @@ def lines(store: Store, manifest: Manifest, wrong: dict[str, str]) -> Iterator[s
     )
     for node in found["nodes"]:
         first, last = (_utc(node[name]) for name in ("first_s", "last_s"))
-        span = f"on {counted(node['days'], 'day')}, {first} to {last}" if node["days"] else "without times"
-        yield f"{node['hand']} node {shown_id(node['node'])}: {node['rows']} samples {span}"
+        yield (
+            f"{node['hand']} node {shown_id(node['node'])}: {node['rows']} samples on "
+            f"{counted(node['days'], 'day')}, {first} to {last}"
+        )
     for (channel, number), told in _calibrations(manifest):
         if len(told) > 1:
             texts = ", ".join(f"0x{crc:08X} from {_utc(_s(t_ns))}" for t_ns, crc in told)

@@ -54,7 +54,6 @@ def block(kind: int, body: bytes, order: str) -> bytes:
 def pcapng(
     packets: list[bytes], order: str = "<", link: int = 227, resolution: int = 9, offset_s: int = 0, kind: int = 6
 ) -> bytes:  # fmt: skip
-    """``offset_s``: of the times in the file; ``kind`` 2: the block of packets of older files."""
     text = block(0x0A0D0D0A, struct.pack(f"{order}IHHq", 0x1A2B3C4D, 1, 0, -1), order)
     options = struct.pack(f"{order}HH4sHHB3xHHqHH", 2, 4, b"can7", 9, 1, resolution, 14, 8, offset_s, 0, 0)
     text += block(1, struct.pack(f"{order}HHI", link, 0, 0) + options, order)

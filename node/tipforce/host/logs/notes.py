@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
@@ -131,17 +130,17 @@ def suffix_of(path: Path) -> tuple[str, bool]:
     return "".join(suffixes[:-1][-1:] if zipped else suffixes[-1:]), zipped
 
 
-TEXT = "candump text (candump -L, tipforce log)"
-PACKED = "that text packed with gzip or zstd"
-MESSAGES = "python-can's " + " ".join(MESSAGE_SUFFIXES)
-PCAP = "pcap and pcapng"
+_FORMATS = (
+    "candump text (candump -L, tipforce log), that text packed with gzip or zstd, python-can's "
+    f"{' '.join(MESSAGE_SUFFIXES)}, MCAP, pcap and pcapng"
+)
 
 
-def no_frame(name: str, first_bad: object = None, formats: Iterable[str] = (TEXT, PACKED, MESSAGES, PCAP)) -> LogError:
+def no_frame(name: str, first_bad: object = None) -> LogError:
     """Return the error for the log ``name``; ``first_bad``: place of the first bad line and what was expected."""
     place = "stdin" if name == "-" else name
     bad = "" if first_bad is None else f" {first_bad};"
-    return LogError(f"{place}: no frames in it; is it a log?{bad} known formats: {', '.join(formats)}")
+    return LogError(f"{place}: no frames in it; is it a log?{bad} known formats: {_FORMATS}")
 
 
 def no_sample(name: str, frames: int, extended: int) -> LogError:
