@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 Clock = Callable[[], float]
 _WAITING_BLOCKS = 64
+_MOST_NS = 1 << 62
 
 
 class FrameSource:
@@ -129,11 +130,11 @@ class LogSource(FrameSource):
             wait_s = min(start_s + (first_ns - start_ns) * 1e-9 / self._speed - self._clock(), timeout_s)
             if wait_s > 0:
                 self._sleep(wait_s)
-            end_ns = start_ns + round((self._clock() - start_s) * 1e9 * self._speed)
+            end_ns = start_ns + round(min((self._clock() - start_s) * 1e9 * self._speed, _MOST_NS))
         late = self._waiting["t_ns"] > end_ns
         count = int(late.argmax()) if late.any() else len(self._waiting)
         frames, self._waiting = self._waiting[:count], self._waiting[count:]
-        self._now_ns = end_ns if len(self._waiting) or not at_once else int(frames["t_ns"].max())
+        self._now_ns = end_ns if len(self._waiting) else int(frames["t_ns"].max())
         return frames, self._log.channels
 
     def now_ns(self) -> int | None:
