@@ -86,7 +86,7 @@ decode --from yesterday run.log | decode --from 0001-01-01 run.log => allowed ar
 decode --gauges 9 run.log => --gauges
 decode --signals Q run.log => no message has the signal Q: allowed are
 decode --jobs 0 run.log => --jobs: '0': allowed are whole numbers from 1
-decode --resample -5 run.log | decode --resample 0 run.log => --resample
+decode --resample 1e-320 run.log | decode --resample 0 run.log => --resample
 decode --resample 1e9 run.log => choose a lower rate
 decode --dcf empty.dcf run.log => no [section] in it
 decode run.log -o out.xyz => unknown suffix: allowed are
@@ -281,8 +281,9 @@ OPTIMISE --gauges 2 => 2 gauges: allowed are 3 to 5
 OPTIMISE --envelope 30 | OPTIMISE --envelope a,b => % '@': expected two numbers
 OPTIMISE --envelope 30,nan => limit envelope_y_m = nan
 OPTIMISE --load nan => load = @ N: allowed
-OPTIMISE --load 0 => load = 0.0 N: allowed
-OPTIMISE --noise nan | OPTIMISE --noise -1 => %: '@': allowed is 0 or more
+monitor --sync 1e-320 X | dump --sync 1e-320 X => --sync: '1e-320': allowed is 1e-6 to 10000 Hz
+OPTIMISE --load 0 | OPTIMISE --load 1e300 => N: allowed is 1e-9 to 1e9
+OPTIMISE --noise nan | OPTIMISE --noise 0 => %: '@': allowed is above 0
 calibrate budget --gravity nan => %: '@'
 calibrate budget --phi 1e9 --theta 0 => --phi: '1e9': allowed are degrees from -360 to 360
 conformance --node-id 5 --case nosuch => matches no case
