@@ -155,6 +155,14 @@ def test_sigterm_ends_a_command_as_ctrl_c_does(run_command: Run) -> None:
     assert (run_command(body), closed) == (130, ["what it opened"])
 
 
+def test_characters_that_stdout_cannot_encode_are_escapes(run_command: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    stdout = io.TextIOWrapper(io.BytesIO(), "ascii")
+    monkeypatch.setattr(sys, "stdout", stdout)
+    assert run_command(lambda _args: sys.stdout.write("\u250c\u2510")) == 2
+    stdout.seek(0)
+    assert stdout.read() == "\\u250c\\u2510"
+
+
 def test_a_fault_of_ours_keeps_its_traceback(run_command: Run) -> None:
     with pytest.raises(ZeroDivisionError):
         run_command(raising(ZeroDivisionError()))

@@ -91,6 +91,7 @@ decode --resample 1e9 run.log => choose a lower rate
 decode --dcf empty.dcf run.log => no [section] in it
 decode run.log -o out.xyz => unknown suffix: allowed are
 decode run.log --format parquet => needs --output FILE
+decode run.log -o \udcff.parquet | decode run.log -o \udcff/ => its path is not UTF-8
 decode none.log | dump none.log | view none.log | monitor none.log => @: no such file
 decode none/*.log => no file matches
 decode . => is a directory; name its logs

@@ -9,6 +9,7 @@ from typing import BinaryIO, Self
 
 from canopen_device.visible_text import visible_lines
 from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.host.dataset.reader import need_pyarrow
 from tipforce.host.decoding.sample_table import Column, Table
 from tipforce.output_file import CONTACT_TEXT, CSV, JSON_LINES, MCAP, PARQUET, NewFile
 from tipforce_tools.writing import parquet_join, text_rows
@@ -51,6 +52,8 @@ def check_format(output: str | None, kind: str) -> None:
             raise EnvironmentLackError(f"{kind} needs {library}: `pip install 'tipforce[{extra}]'`")
         if output in {None, "-"}:
             raise InputError(f"--format {kind}: needs --output FILE")
+        if kind == "parquet":
+            need_pyarrow(str(output))
 
 
 class Shape:
