@@ -148,7 +148,7 @@ def _answer(words: list[str]) -> int:
             lines += [f"{group}:", *(f"  {name:{width}}  {summary}" for name, (_, summary) in commands.items())]
         codes = ", ".join(f"{code} {text}" for code, text in EXIT_TEXTS.items())
         print(USAGE.format(commands="\n".join(lines), codes=codes), end="")
-        return 0 if words else 2
+        return 0 if first else 2
     if first in ("-V", "--version"):
         from tipforce.dictionary.table import SOFTWARE_VERSION
 
