@@ -19,7 +19,7 @@ _SUFFIXES = {
     ".csv": "csv", ".jsonl": "jsonl", ".ndjson": "jsonl", ".json": "jsonl", ".parquet": "parquet", ".pq": "parquet",
     ".mcap": "mcap", ".txt": "text",
 }  # fmt: skip
-_EXTRAS = {"parquet": ("pyarrow", "parquet"), "mcap": ("mcap", "mcap")}
+_LIBRARIES = {"parquet": "pyarrow", "mcap": "mcap"}
 KINDS = {"csv": CSV, "jsonl": JSON_LINES, "text": CONTACT_TEXT, "parquet": PARQUET, "mcap": MCAP}
 _COPY_BYTES = 1 << 20
 
@@ -46,10 +46,9 @@ def is_directory(output: str) -> bool:
 
 def check_format(output: str | None, kind: str) -> None:
     """Raise EnvironmentLackError for a missing library, InputError for a format that needs a file."""
-    if kind in _EXTRAS:
-        library, extra = _EXTRAS[kind]
-        if find_spec(library) is None:
-            raise EnvironmentLackError(f"{kind} needs {library}: `pip install 'tipforce[{extra}]'`")
+    if kind in _LIBRARIES:
+        if find_spec(_LIBRARIES[kind]) is None:
+            raise EnvironmentLackError(f"{kind} needs {_LIBRARIES[kind]}: `pip install 'tipforce[{kind}]'`")
         if output in {None, "-"}:
             raise InputError(f"--format {kind}: needs --output FILE")
         if kind == "parquet":
