@@ -54,7 +54,7 @@ def test_help_lists_every_command(printed: Printed) -> None:
 
 def test_version_and_no_word(printed: Printed) -> None:
     assert printed(0, "--version") == printed(0, "-V") == (f"tipforce {SOFTWARE_VERSION}\n", "")
-    assert "usage: tipforce COMMAND" in printed(2, []).out
+    assert "usage: tipforce COMMAND" in printed(2, [""]).out == printed(2, []).out
 
 
 @pytest.mark.parametrize("name", sorted(set(COMMANDS) - set(RUN_ALONE)))
@@ -153,6 +153,14 @@ def test_sigterm_ends_a_command_as_ctrl_c_does(run_command: Run) -> None:
         return 0
 
     assert (run_command(body), closed) == (130, ["what it opened"])
+
+
+def test_characters_that_stdout_cannot_encode_are_escapes(run_command: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    stdout = io.TextIOWrapper(io.BytesIO(), "ascii")
+    monkeypatch.setattr(sys, "stdout", stdout)
+    assert run_command(lambda _args: sys.stdout.write("\u250c\u2510")) == 2
+    stdout.seek(0)
+    assert stdout.read() == "\\u250c\\u2510"
 
 
 def test_a_fault_of_ours_keeps_its_traceback(run_command: Run) -> None:

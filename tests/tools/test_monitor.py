@@ -1,6 +1,7 @@
 """`tipforce monitor`: the state machine on a clock of the test's own, what is shown, and the command."""
 
 import io
+import itertools
 import math
 import struct
 from collections.abc import Iterable
@@ -229,6 +230,15 @@ def test_a_log_in_its_own_time(hand_log: Path, speed: float) -> None:
                 assert now_ns - T0 <= (clock.now_s - 100.0) * speed * 1e9 + MS
     assert count == len(hand_log.read_text().splitlines())
     assert clock.now_s - 100.0 == pytest.approx(2.0 / speed, abs=0.02)
+
+
+@pytest.mark.parametrize("speed", [1e3, 1e300])
+def test_a_late_step_does_not_pass_the_end_of_a_log(hand_log: Path, speed: float) -> None:
+    with open_log(hand_log) as reader:
+        source = LogSource(reader, speed, 250 * MS, itertools.count(0.0).__next__, lambda _wait_s: None)
+        while not source.ended:
+            source.take(0.1)
+    assert source.now_ns() == T0 + 2_000 * MS
 
 
 def test_a_log_as_fast_as_it_is_read(hand_log: Path) -> None:

@@ -17,7 +17,7 @@ from tipforce_tools.cli.main import INTERRUPTED
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """CHANNEL[,FILTER...] as for `tipforce dump` and candump; without #MASK no error frames. The suffix of FILE sets
     the format: .log (candump's, for canplayer, Wireshark, `tipforce replay` and `decode`), .asc .blf .csv .trc .db .mf4
-    .txt (python-can's writers), and .log.gz .asc.gz .csv.gz .trc.gz. With a --rotate flag, files are numbered:
+    .txt (python-can's writers), and .gz after .log .asc .csv .trc .txt. With a --rotate flag, files are numbered:
     run-0001.log.
       tipforce log vcan0                                candump-2026-05-17_093000.log, as candump -l
       tipforce log -o run.log.gz vcan0,180:780 vcan1

@@ -100,7 +100,7 @@ def timed_frames(args: argparse.Namespace, notes: LogNotes) -> Iterator[tuple[fl
     from tipforce.host.logs.reader import LogReader
 
     due_s = 0.0
-    longest_ns = math.inf if args.max_gap is None else round(args.max_gap * 1e9)
+    longest_ns = math.inf if args.max_gap is None else args.max_gap * 1e9
     for _ in islice(count(), args.loop):
         last_ns = None  # the first frame of a pass is due with the last of the one before
         log = LogReader(args.log, strict=args.strict)

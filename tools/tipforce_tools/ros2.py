@@ -37,10 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--allow-tare", action="store_true", help="hand file: subscribe to the topics .../tare")
     parser.add_argument("--no-bring-up", action="store_true", help="hand file: only listen, change nothing")
     parser.add_argument("--nodes", type=common.node_ids, metavar="IDS", help="bus or log: only these, 1,2,5-9")
-    parser.add_argument("--gauges", type=int, default=3, metavar="N", help="bus or log: of a finger, 3 to 8 (3)")
+    parser.add_argument("--gauges", type=int, choices=range(3, 9), default=3, metavar="N", help="3 (default) to 8")
     add_sync_argument(parser)
     common.add_number(parser, "--speed", 1.0, "X", "log: times recorded speed (default 1)", common.speed)
-    parser.add_argument("--seconds", type=float, metavar="S", help="end after this time")
+    parser.add_argument("--seconds", type=common.seconds, metavar="S", help="end after this time")
     bus_flags.add_bus_arguments(parser)
 
 
@@ -79,15 +79,11 @@ def run(args: argparse.Namespace) -> int:
 def _check(args: argparse.Namespace, is_hand: bool) -> None:
     if find_spec("cyclonedds") is None:
         raise EnvironmentLackError("ros2 needs cyclonedds: `pip install 'tipforce[ros2]'`")
-    if args.seconds is not None and not args.seconds > 0:
-        raise InputError(f"--seconds {args.seconds:g}: allowed is a time over 0")
     check_sync(args, None if args.no_bring_up else args.source)
     if args.no_bring_up and not is_hand:
         raise InputError("--no-bring-up: needs a hand file")
     if args.allow_tare and (not is_hand or args.no_bring_up):
         raise InputError("--allow-tare: needs a hand file that is commissioned; a log or a bus is only listened to")
-    if not 3 <= args.gauges <= 8:
-        raise InputError(f"--gauges {args.gauges}: allowed are 3 to 8")
 
 
 def _feed(args: argparse.Namespace, hand_file: Path | None) -> Feed:

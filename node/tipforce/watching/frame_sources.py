@@ -122,18 +122,17 @@ class LogSource(FrameSource):
         first_ns = int(self._waiting["t_ns"][0])
         if self._now_ns is None or first_ns < self._now_ns - self._step_ns:  # the clock of the recording was set back
             self._now_ns, self._start = first_ns, (first_ns, self._clock())
-        at_once = self._speed == float("inf")
         end_ns = self._now_ns + self._step_ns
-        if not at_once:  # the present time of the log, after waiting for its next frame up to the timeout
+        if self._speed != float("inf"):  # the present time of the log, after waiting for its next frame up to timeout_s
             start_ns, start_s = self._start
             wait_s = min(start_s + (first_ns - start_ns) * 1e-9 / self._speed - self._clock(), timeout_s)
             if wait_s > 0:
                 self._sleep(wait_s)
-            end_ns = start_ns + round((self._clock() - start_s) * 1e9 * self._speed)
+            end_ns = start_ns + round(min((self._clock() - start_s) * 1e9 * self._speed, 1e18))
         late = self._waiting["t_ns"] > end_ns
         count = int(late.argmax()) if late.any() else len(self._waiting)
         frames, self._waiting = self._waiting[:count], self._waiting[count:]
-        self._now_ns = end_ns if len(self._waiting) or not at_once else int(frames["t_ns"].max())
+        self._now_ns = end_ns if len(self._waiting) else int(frames["t_ns"].max())
         return frames, self._log.channels
 
     def now_ns(self) -> int | None:

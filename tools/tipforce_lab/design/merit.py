@@ -60,8 +60,8 @@ class Limits:
     """Anywhere on the beams at the load, at the worst angle; None: that of the paper's body."""
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.load_newtons < math.inf:
-            raise InputError(f"load = {self.load_newtons!r} N: allowed is a positive finite number")
+        if not 1e-9 <= self.load_newtons <= 1e9:
+            raise InputError(f"load = {self.load_newtons!r} N: allowed is 1e-9 to 1e9")
         for name, value in asdict(self).items():
             if value is not None and not 0.0 < value < math.inf:
                 raise InputError(f"limit {name} = {value!r}: allowed is a positive finite number in SI units")

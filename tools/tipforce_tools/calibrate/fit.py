@@ -48,7 +48,6 @@ def add_model_arguments(
 ) -> None:
     """Flags that say how the readings are believed to have come about; ``default``: what the help says of scatter."""
     group = parser.add_argument_group("model")
-    above_0 = common.number_within(0.0, common.MOST, "is above 0", over=True)
     about = f"standard deviation of a groove's phi and theta (default {default})"
     degrees = common.number_within(0.0, 20.0, "is 0 to 20 degrees")
     common.add_number(group, "--angle-scatter", scatter, "DEG", about, degrees)
@@ -57,9 +56,9 @@ def add_model_arguments(
         "--loss", choices=("huber", "soft-l1", "none"), default="huber",
         help="of rows that disagree (default %(default)s)",
     )  # fmt: skip
-    common.add_number(group, "--noise", None, "UE", "gauge noise in microstrain (default: estimated)", above_0)
+    common.add_number(group, "--noise", None, "UE", "gauge noise in microstrain (default: estimated)", common.above_0)
     group.add_argument("--saturation", type=_limit, metavar="UE|none", help="converter limit, microstrain")
-    common.add_number(group, "--yield-stress", None, "MPA", "for the overload force (with --layout)", above_0)
+    common.add_number(group, "--yield-stress", None, "MPA", "for the overload force (with --layout)", common.above_0)
     group.add_argument("--no-offset", action="store_true", help="readings are zero unloaded: fit no offset")
     group.add_argument("--prior", choices=("beam",), help="lean on beam theory; needs --layout")
     common.add_number(group, "--prior-scatter", 0.1, "SHARE", "how far theory may be off (default %(default)s)", float)

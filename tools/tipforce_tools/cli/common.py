@@ -63,11 +63,10 @@ count = number_that(lambda value: value >= 1, "are whole numbers from 1", int)
 whole_number = number_that(lambda value: value >= 0, "are whole numbers from 0", int)
 unsigned32 = number_that(lambda value: 0 <= value <= 0xFFFFFFFF, "are 0 to 0xFFFFFFFF", any_base)
 node_id = number_that(lambda value: 1 <= value <= 127, "are 1 to 127 (10 or 0x0A)", any_base, "node-id ")
+above_0 = number_that(lambda value: 0 < value < math.inf, "is above 0")
 seconds = number_that(lambda value: 0 < value < math.inf, "are seconds, more than 0")
 speed = number_that(lambda value: value > 0, "are numbers over 0, and inf")
 timeout = number_within(0.0, threading.TIMEOUT_MAX, "is a time over 0 s", over=True)  # for which a thread can wait
-MOST = sys.float_info.max
-"""The largest finite number."""
 
 
 def add_number(

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _HINT_S = 0.5
 _SLICE_S = 0.2  # maximum delay of a signal
 _LAST_S = 0.5  # time to read pending frames after a signal
-_sync_hz = common.number_within(0.0, 10_000.0, "is above 0 up to 10000 Hz", over=True)
+_sync_hz = common.number_within(1e-6, 10_000.0, "is 1e-6 to 10000 Hz")
 
 
 def add_sync_argument(parser: argparse.ArgumentParser) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -116,6 +117,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if getattr(sys, name) is None:
             number = os.open(os.devnull, os.O_RDONLY if mode == "r" else os.O_WRONLY)
             setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # as stderr: characters that its encoding lacks
     with visible_streams():
         try:
             code = _answer(words)
@@ -145,7 +148,7 @@ def _answer(words: list[str]) -> int:
             lines += [f"{group}:", *(f"  {name:{width}}  {summary}" for name, (_, summary) in commands.items())]
         codes = ", ".join(f"{code} {text}" for code, text in EXIT_TEXTS.items())
         print(USAGE.format(commands="\n".join(lines), codes=codes), end="")
-        return 0 if words else 2
+        return 0 if first else 2
     if first in ("-V", "--version"):
         from tipforce.dictionary.table import SOFTWARE_VERSION
 

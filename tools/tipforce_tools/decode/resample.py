@@ -40,9 +40,9 @@ class Resampler:
     by their directions; `count`: its samples, `n_P_N` the values in the mean; of a flag the share where it was set."""
 
     def __init__(self, rate_hz: float, asked: Sequence[str] | None = None) -> None:
-        """``asked``: signals in the order of the columns. Raises InputError for a rate that is not above 0."""
-        if not 0 < rate_hz <= 1e9:
-            raise InputError(f"--resample {rate_hz:g}: allowed is above 0 to 1e9, in Hz")
+        """``asked``: signals in the order of the columns. Raises InputError for a rate that is not 1e-9 to 1e9."""
+        if not 1e-9 <= rate_hz <= 1e9:
+            raise InputError(f"--resample {rate_hz:g}: allowed is 1e-9 to 1e9, in Hz")
         self._rate_hz = rate_hz
         self._asked = asked
         self._columns: dict[str, Column] = {}

@@ -213,11 +213,11 @@ def _line(hand: Hand, row: HandRow) -> str:
 def _note_statistics(hand: Hand) -> None:
     statistics = hand.statistics()
     tally, sync = statistics.tally, statistics.sync
-    common.note(
-        f"{tally.rows} rows; SYNC period {sync.mean_period_us:.1f} us, deviation p50 {sync.p50_us:g}, "
-        f"p99 {sync.p99_us:g}, largest {sync.largest_us:g} us; {statistics.dropped} frames dropped; "
-        f"bus load at the end {100 * statistics.load[0]:.0f} to {100 * statistics.load[1]:.0f} %"
-    )
+    deviations = f"deviation p50 {sync.p50_us:g}, p99 {sync.p99_us:g}, largest {sync.largest_us:g} us"
+    period = f"SYNC period {sync.mean_period_us:.1f} us, {deviations}" if sync.periods else "no SYNC period"
+    low, high = (100 * load for load in statistics.load)
+    frames = f"{statistics.dropped} frames dropped; bus load at the end {low:.0f} to {high:.0f} %"
+    common.note(f"{tally.rows} rows; {period}; {frames}")
     for k, finger in enumerate(hand.file.finger):
         names = ("missing", "delayed", "late", "mixed", "doubtful", "changed", "repeated")
         counts = ", ".join(f"{name} {int(getattr(tally, name)[k])}" for name in names)

@@ -9,6 +9,7 @@ from typing import BinaryIO, Self
 
 from canopen_device.visible_text import visible_lines
 from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.host.dataset.reader import need_pyarrow
 from tipforce.host.decoding.sample_table import Column, Table
 from tipforce.output_file import CONTACT_TEXT, CSV, JSON_LINES, MCAP, PARQUET, NewFile
 from tipforce_tools.writing import parquet_join, text_rows
@@ -18,7 +19,7 @@ _SUFFIXES = {
     ".csv": "csv", ".jsonl": "jsonl", ".ndjson": "jsonl", ".json": "jsonl", ".parquet": "parquet", ".pq": "parquet",
     ".mcap": "mcap", ".txt": "text",
 }  # fmt: skip
-_EXTRAS = {"parquet": ("pyarrow", "parquet"), "mcap": ("mcap", "mcap")}
+_LIBRARIES = {"parquet": "pyarrow", "mcap": "mcap"}
 KINDS = {"csv": CSV, "jsonl": JSON_LINES, "text": CONTACT_TEXT, "parquet": PARQUET, "mcap": MCAP}
 _COPY_BYTES = 1 << 20
 
@@ -45,12 +46,13 @@ def is_directory(output: str) -> bool:
 
 def check_format(output: str | None, kind: str) -> None:
     """Raise EnvironmentLackError for a missing library, InputError for a format that needs a file."""
-    if kind in _EXTRAS:
-        library, extra = _EXTRAS[kind]
-        if find_spec(library) is None:
-            raise EnvironmentLackError(f"{kind} needs {library}: `pip install 'tipforce[{extra}]'`")
+    if kind in _LIBRARIES:
+        if find_spec(_LIBRARIES[kind]) is None:
+            raise EnvironmentLackError(f"{kind} needs {_LIBRARIES[kind]}: `pip install 'tipforce[{kind}]'`")
         if output in {None, "-"}:
             raise InputError(f"--format {kind}: needs --output FILE")
+        if kind == "parquet":
+            need_pyarrow(str(output))
 
 
 class Shape:

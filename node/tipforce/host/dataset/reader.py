@@ -30,9 +30,11 @@ _FOREVER = np.iinfo(np.int64).max
 
 
 def need_pyarrow(name: str) -> None:
-    """Raise EnvironmentLackError without pyarrow, which is not imported yet."""
+    """Raise EnvironmentLackError without pyarrow, which is not imported yet; InputError for a path it cannot open."""
     if find_spec("pyarrow") is None:
         raise EnvironmentLackError(f"{name}: a dataset needs pyarrow: `pip install 'tipforce[parquet]'`")
+    if re.search("[\ud800-\udfff]", os.path.realpath(name)):
+        raise InputError(f"{name}: its path is not UTF-8, which Parquet files need: rename it")
 
 
 def opened(name: str) -> tuple[Store, Manifest]:
