@@ -159,6 +159,25 @@ def test_expectations_hold_or_do_not(tmp_path: Path, expect: str, ok: bool) -> N
     assert outcome.ok == ok
 
 
+def test_without_a_sample_nothing_is_known_to_stay_clear(tmp_path: Path) -> None:
+    """No sample between two SYNCs, and none where no contact PDO is sent, though the load closes the slit."""
+    for pdos, times in (("contact", "from_s = 0.001\nto_s = 0.009"), ("gauges", "")):
+        text = TWO.replace('["gauges", "contact", "force"]\nstatus = false', f'["{pdos}"]').replace("1.0003", "100.0")
+        expect = f'[slit]\n[[expect]]\nstatus_never = ["saturated"]\nslit_closes = false\n{times}\n'
+        assert [check.ok for check in run(scene_of(tmp_path, text + expect)).checks] == [False, False]
+
+
+def test_the_log_begins_at_the_date_of_the_scene(tmp_path: Path) -> None:
+    run(scene_of(tmp_path, f"start = 2026-05-17T09:30:00.25Z\n{TWO}"), log=tmp_path / "run.log")
+    assert (tmp_path / "run.log").read_text().startswith("(1779010200.250000) ")
+
+
+@pytest.mark.parametrize("keys", ["gain = 1e-300", "gain = 1e9\nexcitation_volts = 1e9\nreference_volts = 1e-300"])
+def test_a_converter_beyond_any_is_refused(tmp_path: Path, keys: str) -> None:
+    with pytest.raises(InputError, match=r"\[front_end\] gain: .* counts per microstrain, allowed 1e-09 to 1e\+09"):
+        run(scene_of(tmp_path, f'{TWO}[front_end]\nbridge = "full"\n{keys}\n'))
+
+
 def test_health_and_heartbeat_come_at_their_own_times(tmp_path: Path) -> None:
     text = 'duration_s = 2.5\n[[nodes]]\nids = [3]\npdos = ["health"]\nheartbeat_ms = 500\ncalibration = "none"\n'
     outcome = run(scene_of(tmp_path, text))
