@@ -145,7 +145,8 @@ class Judge:
             plain = active.model == 0.0 and np.ndim(noise) == 0
             with np.errstate(invalid="ignore", over="ignore"):
                 extra = None if plain else list(np.square(active.model * V))
-                chi_square, faults = explained(W, shown, list(V), extra, noise, np.sqrt)
+                # The limit has the calibration's own doubt in it, which a mean of readings does not reduce.
+                chi_square, faults = explained(W, shown, list(V), extra, np.maximum(noise, 1.0), np.sqrt)
                 agree = chi_square <= alarm
                 explains = [
                     c is not None and chi_square - f[0] <= exclusion for c, f in zip(shown, faults, strict=True)
@@ -202,7 +203,7 @@ class Judge:
                 moved = [m + _dot(row, active.per_kelvin) for m, row in zip(moved, matrix, strict=True)]
             K = _with(K, [kelvin * m for m in moved])
         if faults:
-            K = [k + d for k, d in zip(K, self._doubt(matrix, faults, noise), strict=True)]
+            K = [k + d for k, d in zip(K, self._doubt(matrix, faults, np.maximum(noise, 1.0)), strict=True)]
         if self.calibration.parameter_covariance is not None:
             K = [k + p for k, p in zip(K, self.of_parameters(mask, *F), strict=True)]
         if work.drifted is not None:
