@@ -43,6 +43,7 @@ WRONG = [  # a part of the good scene, what stands there instead, and what is sa
     ("duration_s = 1.0", "duration_s = nan", "duration_s is nan: allowed are finite numbers"),
     ("duration_s = 1.0", "duration_s = inf", "duration_s is inf: allowed are finite numbers"),
     ("duration_s", "duration", "duration: no such key; did you mean duration_s?"),
+    ("sync_hz = 100", "sync_hz = 100\nstart = 9999-01-01T00:00:00Z", "allowed are the years 1970 to 2261"),
     ("sync_hz = 100", "", "nodes[1].pdos: contact is sent on SYNC: set sync_hz"),
     ("ids = [1, 2]", "ids = [1, 1]", "node-id 1 is given more than once"),
     ("ids = [1, 2]", "ids = []", "0 node-ids: allowed are 1 to 32"),
@@ -56,6 +57,7 @@ WRONG = [  # a part of the good scene, what stands there instead, and what is sa
     ('kind = "static"', "kind = {}", "loads[1].kind is {}"),
     ('kind = "static"', 'kind = "statik"', "loads[1].kind is 'statik'; did you mean static?"),
     ("P_N = 1.0", "P_N = -1.0", "loads[1].P_N is -1.0: expected float >= 0.0"),
+    ("P_N = 1.0", "P_N = 1e300", "loads[1].P_N is 1e+300: expected float <= 1000000000.0"),
     ("P_N = 1.0", "P_n = 1.0", "loads[1].P_n: no such key; did you mean P_N?"),
     ("P_N = 1.0", "P_N = 1.0\nnodes = [7]", "loads[1].nodes: node 7 is not in [[nodes]]; allowed: 1, 2"),
     ("[[loads]]", "[loads]", "loads is {"),
@@ -65,6 +67,7 @@ WRONG = [  # a part of the good scene, what stands there instead, and what is sa
 ADDED = [  # below the good scene
     ('[[loads]]\nkind = "grooves"', "loads[2]: node 1 already has a load, loads[1]"),
     ("[noise]\ngauge_microstrain = 0", "noise.gauge_microstrain is 0: expected float > 0.0"),
+    ("[front_end]\napparent_microstrain_per_degC = [1]", "has 1 values: allowed is one number, or 3, the gauges of no"),
     ("[dynamics]\nstep_us = 300", "sample_period_us is 500: allowed are multiples of the step of [dynamics], 300"),
     ('[[faults]]\nkind = "stuck"\nnodes = [1]\nat_s = 0.5\ngauge = 4', "gauge is 4: node 1 has the gauges 1 to 3"),
     ('[[faults]]\nkind = "stuck"\nnodes = [3]\nat_s = 0.5', "faults[1].nodes: node 3 is not in [[nodes]]"),

@@ -4,6 +4,7 @@ import math
 import random
 import re
 import struct
+from datetime import UTC, datetime
 from pathlib import Path
 
 import can
@@ -68,12 +69,12 @@ def test_the_log_is_what_was_decoded_and_opens_in_python_can(tmp_path: Path) -> 
 
 def test_frames_of_one_sync_come_in_order(tmp_path: Path) -> None:
     path = tmp_path / "run.log"
-    run(read_scene(SCENES / "grasp.toml"), 0.004, path)
+    run(replace(read_scene(SCENES / "grasp.toml"), start=datetime(2026, 1, 1, 0, 0, 0, 250_000, UTC)), 0.004, path)
     heads = [line.rpartition("#")[0] for line in path.read_text().splitlines()]
     nodes = range(1, 6)
-    boot = [f"(1767225600.000000) sim0 70{k}" for k in nodes] + ["(1767225600.000000) sim0 000"]
+    boot = [f"(1767225600.250000) sim0 70{k}" for k in nodes] + ["(1767225600.250000) sim0 000"]
     syncs = [
-        [f"(1767225600.00{t}000) sim0 080", *(f"(1767225600.00{t}000) sim0 {pdo}8{k}" for k in nodes for pdo in (1, 2))]
+        [f"(1767225600.25{t}000) sim0 080", *(f"(1767225600.25{t}000) sim0 {pdo}8{k}" for k in nodes for pdo in (1, 2))]
         for t in (2, 4)
     ]
     assert heads == boot + syncs[0] + syncs[1]
@@ -157,6 +158,14 @@ def test_expectations_hold_or_do_not(tmp_path: Path, expect: str, ok: bool) -> N
     outcome = run(scene_of(tmp_path, TWO.replace("status = false", "") + f"[[expect]]\n{expect}\n"))
     assert [check.ok for check in outcome.checks] == [ok]
     assert outcome.ok == ok
+
+
+def test_without_a_sample_nothing_is_known_to_stay_clear(tmp_path: Path) -> None:
+    text = TWO.replace("1.0003", "100.0").replace("status = false", "").replace('"gauges", "contact", "force"', "PDO")
+    for pdo, times in (('"contact"', "from_s = 0.001\nto_s = 0.009"), ('"gauges"', "")):
+        expect = f'[slit]\n[[expect]]\nstatus_never = ["saturated"]\nslit_closes = false\n{times}\n'
+        checks = run(scene_of(tmp_path, text.replace("PDO", pdo) + expect)).checks
+        assert [check.ok for check in checks] == [False, False]
 
 
 def test_health_and_heartbeat_come_at_their_own_times(tmp_path: Path) -> None:

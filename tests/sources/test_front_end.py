@@ -214,6 +214,7 @@ def test_the_node_shows_the_temperature_of_the_front_end() -> None:
         ({"apparent_strain": 1.0}, "apparent_strain: needs temperature"),
         ({"gain_drift_ppm": 1.0}, "gain_drift_ppm: needs temperature"),
         ({"temperature": math.nan}, "temperature: nan"),
+        ({"bridge": Bridge("full"), "gain": 1e-300}, "gain: 1e-300 makes .* counts per microstrain, allowed 1e-09 to"),
         ({"temperature": [(1.0, 20.0), (0.0, 20.0)]}, "points at increasing times"),
         ({"temperature": []}, "points at increasing times"),
         ({"temperature": 20.0, "apparent_strain": [1.0, 2.0]}, "2 numbers for 3 gauges"),

@@ -240,6 +240,7 @@ def test_the_mode_of_a_row_selects_the_branch(estimated: Estimated) -> None:
     assert [float(row["theta_deg"] or "nan") for row in rows[:3]] == pytest.approx([90.0, -50.0, -50.0], abs=1e-4)
     assert [row["status"] for row in rows[:3]] == ["ok", "outside_pad", "outside_pad"]
     assert rows[3]["status"] == "bad: mode is 'tear', allowed: push, pull, tare or blank"
+    assert "columns that are not used: Mode\n" in estimated([f"{load},push"], "SG1,SG2,SG3,Mode")[1]
 
 
 def test_tares_take_drift_off_by_time(estimated: Estimated) -> None:
@@ -261,6 +262,25 @@ def test_tares_take_drift_off_by_time(estimated: Estimated) -> None:
     rows, err = estimated([line.split(",", 1)[1] for line in lines], "SG1,SG2,SG3,mode")
     assert "interpolated between tares by row" in err
     assert rows[1]["P_N"] != "1"
+
+
+def test_a_saturated_tare_is_no_reference(estimated: Estimated) -> None:
+    load, zero = microstrain(2.0, 30.0, 50.0), microstrain(0.0, 0.0, 0.0)
+    lines = [f"900.5,{zero.split(',', 1)[1]},tare", f"{load},pull", f"{zero},tare", f"{load},pull"]
+    for count, status in ((4, "ok"), (2, "saturated")):
+        rows, _ = estimated(lines[:count], "SG1,SG2,SG3,mode", "--saturation 900")
+        assert [row["status"] for row in rows] == ["tare", status] * (count // 2)
+        assert [row["P_N"] for row in rows[1::2]] == (["2", "2"] if count == 4 else [""])
+
+
+def test_means_of_many_readings_do_not_contradict(calibration: Path, fitted: Fitted, estimated: Estimated) -> None:
+    sim = simulate(("K_H", "S_H", "U", "T"), np.random.default_rng(7), Faults(outlier_share=0.0, saturation=None))
+    write_readings(calibration.with_name("data.csv"), sim)
+    fitted(calibration.with_name("data.csv"), "-o", calibration)
+    F = force_vector(3.0, np.radians(np.arange(30.0, 150.0)), np.radians(90.0))
+    readings = 1e6 * (F @ sim.true_A.T + sim.true_offset_strain[-1])
+    rows, _ = estimated([f"{','.join(map(str, row))},10000" for row in readings.tolist()], "SG1,SG2,SG3,SG4,weight")
+    assert {row["status"] for row in rows} == {"ok"}
 
 
 def test_a_gauge_that_stands_still_is_frozen(estimated: Estimated) -> None:

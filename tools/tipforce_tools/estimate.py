@@ -49,6 +49,8 @@ def run(args: argparse.Namespace) -> int:
         check_output(args.output, inputs=(args.calibration, args.gauges))
     if calibration.parameter_covariance is None:
         common.note(f"{args.calibration} has no [fit] table: uncertainties cover gauge noise only")
+    if unused := ", ".join(filter(None, data.ignored_columns)):
+        common.note(f"{args.gauges}: columns that are not used: {unused}")
     if data.unloaded.any() and data.t_s is None:
         common.note(f"{args.gauges}: no t_s: offsets are interpolated between tares by row")
     if calibration.tare_drift_strain_per_s and data.t_s is None:

@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=common.whole_number, metavar="N", help="instead of the scene's seed")
     parser.add_argument("-o", "--log", metavar="LOG", help="write every frame to this file, as candump -L does")
     parser.add_argument("--explain", action="store_true", help="run nothing: list what is built and left out, and why")
-    parser.add_argument("--cost", action="store_true", help="--explain: also measure each part's run and import time")
+    parser.add_argument("--cost", action="store_true", help="explain, and measure each part's run and import time")
     parser.add_argument("--realtime", action="store_true", help="without -i and -c: on a bus inside this process")
     bus_flags.add_bus_name_arguments(parser)
     common.add_output_arguments(parser)
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     from tipforce.scene.registry import bus_load
 
     scene = read_scene(path)
-    if args.explain:
+    if args.explain or args.cost:
         return _explain(path, scene, args.scene, args.cost)
     from msgspec.structs import replace
 

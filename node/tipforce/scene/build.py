@@ -182,7 +182,8 @@ def _front_end(given: schema.FrontEnd | None, one_over_f: float | None, seed: in
                 options["bridge"] = Bridge(given.bridge, given.gauge_factor, given.excitation_volts)
         return FrontEnd(**options)
     except ValueError as error:
-        raise InputError(f"[front_end] {error}") from None
+        name, _, why = str(error).partition(": ")
+        raise InputError(f"[front_end] {_FRONT_END.get(name, name)}: {why}") from None
 
 
 class Fault(NamedTuple):

@@ -18,6 +18,8 @@ from tipforce.sensor.structure.layouts import layout
 def read_scene(path: str | Path) -> schema.Scene:
     """Read and check a scene file. Raises InputError naming the place, the value and what is allowed."""
     scene = convert(schema.Scene, read_table(path, f"scene {path}"), f"scene {path}")
+    if not 1970 <= scene.start.year < 2262:
+        raise InputError(f"scene {path}: start is {scene.start}: allowed are the years 1970 to 2261")
     for check in (_check_nodes, _check_loads, _check_faults, _check_expectations):
         check(scene, f"scene {path}")
     for key, output in msgspec.structs.asdict(scene.outputs).items():
@@ -41,6 +43,10 @@ def _check_nodes(scene: schema.Scene, place: str) -> None:
             gauges = len(layout(group.layout))
         if group.offset_microstrain and len(group.offset_microstrain) != gauges:
             raise InputError(f"{at}.offset_microstrain has {len(group.offset_microstrain)} values: allowed is {gauges}")
+        apparent = None if scene.front_end is None else scene.front_end.apparent_microstrain_per_degC
+        if isinstance(apparent, tuple) and len(apparent) != gauges:
+            has = f"has {len(apparent)} values: allowed is one number, or {gauges}, the gauges of nodes[{number}]"
+            raise InputError(f"{place}: front_end.apparent_microstrain_per_degC {has}")
         if scene.dynamics is not None and group.sample_period_us % scene.dynamics.step_us:
             raise InputError(
                 f"{at}.sample_period_us is {group.sample_period_us}: allowed are multiples of the step of [dynamics], "

@@ -333,18 +333,18 @@ def _checks(
         yield f"P known in at least {least:g} of the SYNCs", f"{share:.4g}", share >= least
     if most is not None:
         yield f"P known in at most {most:g} of the SYNCs", f"{share:.4g}", bool(syncs) and share <= most
-    set_counts = {name: int(column[rows].sum()) for name, column in contact.flags.items()}
+    set_counts = {name: int(column[rows].sum()) for name, column in contact.flags.items()} if rows.any() else {}
     for name in expect.status_seen:
         count = set_counts.get(name, 0)
         yield f"status {name}", f"in {count} samples", count > 0
     for name in expect.status_never:
-        # A bit that was never sent was not seen clear either.
+        # A bit that was not sent was not seen clear either.
         count = set_counts.get(name, -1)
         yield f"never status {name}", f"in {count} samples" if count >= 0 else "status not sent", count == 0
     if expect.slit_closes is not None:
         closed = 0 if contact.slit_closed is None else int(contact.slit_closed[rows].sum())
         word = "closes" if expect.slit_closes else "stays open"
-        yield f"slit {word}", f"closed in {closed} samples", (closed > 0) == expect.slit_closes
+        yield f"slit {word}", f"closed in {closed} samples", bool(rows.any()) and (closed > 0) == expect.slit_closes
     for code in expect.emcy_seen:
         yield f"EMCY {code}", ", ".join(sorted(set(emcy))) or "none", code in emcy
     if expect.emcy_none:

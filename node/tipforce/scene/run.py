@@ -58,7 +58,7 @@ def run_scene(
     fingers, files = build(scene, folder), scene.outputs
     on_bus = scene.bus is not None or realtime
     name = "sim0" if scene.bus is None else scene.bus.channel or scene.bus.interface or "can"
-    with results.Recording(files.log, name, round(scene.start.timestamp()) * 1_000_000_000) as recording:
+    with results.Recording(files.log, name, round(1e6 * scene.start.timestamp()) * 1_000) as recording:
         if on_bus:
             from tipforce.scene.realtime import run_on_bus
 

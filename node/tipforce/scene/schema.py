@@ -14,8 +14,8 @@ from msgspec import Meta
 from tipforce.errors import InputError
 from tipforce.sources.simulated import force_of
 
-Positive = Annotated[float, Meta(gt=0.0)]
-NotNegative = Annotated[float, Meta(ge=0.0)]
+Positive = Annotated[float, Meta(gt=0.0, le=1e9)]
+NotNegative = Annotated[float, Meta(ge=0.0, le=1e9)]
 NodeId = Annotated[int, Meta(ge=1, le=127)]
 Microstrain = Annotated[float, Meta(gt=0.0, le=1e6)]
 Angle = Annotated[float, Meta(ge=-360.0, le=360.0)]

@@ -234,4 +234,7 @@ def _counts_per_microstrain(
     if bridge is None:
         raise ValueError("gain: needs a bridge")
     reference = bridge.excitation_volts if reference_volts is None else _check("reference_volts", reference_volts, 0.0)
-    return bridge.volts_per_microstrain * _check("gain", gain, 0.0) / reference * (1 << bits - 1)
+    counts = bridge.volts_per_microstrain * _check("gain", gain, 0.0) / reference * (1 << bits - 1)
+    if not 1e-9 <= counts <= 1e9:
+        raise ValueError("gain: %r makes %g counts per microstrain, allowed 1e-09 to 1e+09" % (gain, counts))
+    return counts

@@ -172,9 +172,6 @@ def _geometry(content: _File) -> Geometry:
 
 
 def _gauges(geometry: Geometry, points: Sequence[str | _Place]) -> tuple[Gauge, ...]:
-    names = [point for point in points if isinstance(point, str)]
-    if len(names) == len(points):
-        return layout(names)
     for point in points:
         if isinstance(point, _Place) and point.beam == "V" and point.face is not None:
             allowed = "allowed on beam H only; on V the side determines the face"

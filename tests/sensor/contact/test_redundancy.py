@@ -45,7 +45,10 @@ def test_the_structure_comes_back_from_the_calibration(n: int) -> None:
     A, covariance = structure(n), correlated(n)
     C = weighted_inverse(A, covariance)
     np.testing.assert_allclose(C @ A, np.eye(3), atol=1e-9)
-    np.testing.assert_allclose(structure_matrix(C, covariance), A, atol=1e-9 * np.abs(A).max())
+    for unit in (1e-300, 1e-160, 1.0, 1e160, 1e300):  # of newtons
+        np.testing.assert_allclose(structure_matrix(unit * C, covariance) * unit, A, atol=1e-9 * np.abs(A).max())
+        if n > 3:
+            np.testing.assert_allclose(parity(unit * C, covariance).visible, parity(C, covariance).visible)
     weights = np.linalg.inv(covariance)
     normal = np.linalg.solve(A.T @ weights @ A, A.T @ weights)
     np.testing.assert_allclose(C, normal, rtol=1e-6, atol=1e-9 * np.abs(C).max())

@@ -171,6 +171,7 @@ def test_pad_loads_push_inwards_and_pull_outwards() -> None:
     for pull in (True, False):
         loads = error_budget.pad_loads(1.5, 0.0, 180.0, pull=pull)
         assert loads.P_newtons.shape == (37 * 7,)
+        assert error_budget.pad_loads(1.5, 0.0, 1e9, pull=pull).P_newtons.shape == (73 * 7,)
         error = np.remainder(contacts(loads.F, pull=pull).theta_rad - loads.theta_rad + pi, 2 * pi) - pi
         np.testing.assert_allclose(error, 0.0, atol=1e-12)
     h = 1e-6

@@ -164,6 +164,8 @@ def test_uncertainties_are_those_of_the_contact(case: str, load_newtons: float) 
     assert got.noise_gain_newtons == pytest.approx(1e-6 * quality.noise_gain(C))
     assert got.smallest_singular_value == pytest.approx(1e6 / np.linalg.norm(C, 2))
     assert got.condition_number == pytest.approx(quality.condition_number(A))
+    of_any_size = [quality.row_equilibrated_condition_number(size * A) for size in (1e-300, 1e-160, 1e160, 1e300)]
+    assert of_any_size == pytest.approx([quality.row_equilibrated_condition_number(A)] * 4)
 
 
 def test_worst_stress_and_strain_over_all_angles() -> None:

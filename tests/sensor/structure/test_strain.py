@@ -123,6 +123,7 @@ def test_shifts_are_inward() -> None:
         (partial(layout, "IV"), "layout 'IV' is not known: allowed are I, II, III, I', II', III'"),
         (partial(layout, ("L", "R", "X")), "gauge point 'X' is not known: allowed are L, R, T, U, K_H, S_H, K_V, S_V"),
         (partial(layout, ("L", "R")), "a layout of 2 gauge points: allowed are 3 to 8"),
+        (partial(quality.row_equilibrated_condition_number, [1, 2, 3]), "shape (3,): allowed are (n, 3)"),
         (partial(layout, ("L", "R", "U", "R")), "gauge point R is given more than once"),
         (partial(layout, (*POINTS, "L")), "a layout of 9 gauge points: allowed are 3 to 8"),
         (partial(strain.strain_row, FABRICATED, "H", "left", 0.0151), "allowed is 0 to 0.015"),

@@ -13,7 +13,8 @@ from tipforce.sensor import Geometry, first_order_holds, force_vector, standard_
 from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.structure.layouts import CALIBRATION_WEIGHT_NEWTONS
 from tipforce.sensor.structure.off_axis import PlacedGauge, off_axis_wrenches, wrench_strain_matrix
-from tipforce.sensor.structure.strain import GaugePosition, strain_row
+from tipforce.sensor.structure.quality import shifted
+from tipforce.sensor.structure.strain import GaugePosition, position_matrix
 from tipforce_lab import plotting as figures
 
 DEGREE = pi / 180.0
@@ -118,8 +119,9 @@ def groove_loads() -> Loads:
 
 
 def pad_loads(P_newtons: float, theta_min_deg: float, theta_max_deg: float, *, pull: bool) -> Loads:
-    """Return loads over a whole pad, every 5 degrees of theta and 15 of delta = phi - theta (friction up to 1)."""
-    degrees = np.meshgrid(np.arange(theta_min_deg, theta_max_deg + 1e-9, 5.0), np.arange(-45.0, 46.0, 15.0))
+    """Return loads over a whole pad, at most a turn, every 5 degrees of theta and 15 of delta = phi - theta."""
+    last_deg = min(theta_max_deg, theta_min_deg + 360.0)
+    degrees = np.meshgrid(np.arange(theta_min_deg, last_deg + 1e-9, 5.0), np.arange(-45.0, 46.0, 15.0))
     theta, delta = (np.radians(grid.ravel()) for grid in degrees)
     phi = theta + delta + (0.0 if pull else np.pi)
     return Loads(np.full(theta.shape, P_newtons), phi, theta)
@@ -175,8 +177,11 @@ def elementary_errors(sensor: Sensor, loads: Loads, causes: Causes) -> tuple[dic
         left_out = dict.fromkeys(missing, "the positions of the gauges are unknown")
     else:
         if not sensor.calibrated:
-            slopes = np.array([_slope(sensor.geometry, place) for place in sensor.positions])
-            errors_by_cause["gauge position"] = causes.gauge_shift_m * (F @ slopes.T).T[:, :, np.newaxis] * per_gauge
+            step_m = _SHIFT_STEP * min(sensor.geometry.a_m, sensor.geometry.d_m)
+            moved = [shifted(sensor.geometry, place, step_m) for place in sensor.positions]
+            at, beyond = (position_matrix(sensor.geometry, places) for places in (sensor.positions, moved))
+            by_shift = (beyond - at) @ F.T * (causes.gauge_shift_m / step_m)
+            errors_by_cause["gauge position"] = by_shift[:, :, np.newaxis] * per_gauge
         off_axis = _off_axis_strains(sensor.geometry, sensor.positions, loads.theta_rad, causes)
         errors_by_cause["off-axis load"] = np.concatenate([each.T[:, :, np.newaxis] * per_gauge for each in off_axis])
     return {cause: np.asarray(E, dtype=np.float64) for cause, E in errors_by_cause.items()}, left_out
@@ -208,13 +213,6 @@ def gravity_residual(angle_rad: float) -> float:
 
 def _with_one(F: FloatArray) -> FloatArray:
     return np.column_stack([F, np.ones(len(F))])
-
-
-def _slope(geometry: Geometry, place: GaugePosition) -> FloatArray:
-    length = geometry.a_m if place.beam == "H" else geometry.d_m
-    step = _SHIFT_STEP * length * (1.0 if place.position_m < 0.5 * length else -1.0)
-    moved = place._replace(position_m=place.position_m + step)
-    return np.asarray((strain_row(geometry, *moved) - strain_row(geometry, *place)) / step)
 
 
 def _off_axis_strains(

@@ -187,27 +187,25 @@ def estimates(
     """Yield (line, [P_N, phi_deg, theta_deg, u_P_N, u_phi_deg, u_theta_deg], status) of each good row; NaN: unknown, as
     on a node. With ``calibration.parameter_covariance`` the uncertainty includes the calibration's."""
     weight = np.ones(len(data.line)) if data.weight is None else data.weight
-    tares = _tares(data, weight, calibration)
     if saturation_microstrain is not None:
         own = calibration.converter_limit_strain
         limit = np.minimum(np.where(own > 0.0, own, np.inf), 1e-6 * saturation_microstrain)
         calibration = replace(calibration, converter_limit_strain=limit)
+    frozen = frozen_gauges(calibration, data.strain, weight)
+    tares = _tares(data, weight, calibration, 0 if frozen is None else frozen) if data.unloaded.any() else None
     if tares is not None and calibration.parameter_covariance is not None:
         blocks = calibration.parameter_covariance.copy()
         blocks[:, 3] = blocks[:, :, :, 3] = 0.0  # the tares give the offset, with a noise of their own
         calibration = replace(calibration, parameter_covariance=blocks)
     estimator = Estimator(calibration)
+    # Without tares the age counts from the first row, the first that is known.
+    age_s = None if data.t_s is None else data.t_s - data.t_s[:1]
+    offset, noise, age, lost = tares or (None, 0.0, age_s, None)
     given = Readings(
-        data.strain, data.temperature_degC, None, frozen_gauges(calibration, data.strain, weight), data.unloaded,
-        variance_factor=1.0 / weight,
-        # Without tares the age counts from the first row, the first that is known.
-        age_s=None if data.t_s is None else data.t_s - data.t_s[:1],
-        pull=None if data.mode is None else np.where(data.mode < 0, calibration.pull, data.mode == MODES.index("pull")),
+        data.strain, data.temperature_degC, lost, frozen, data.unloaded, offset, 1.0 / weight + noise,
+        None if data.t_s is None else age,
+        None if data.mode is None else np.where(data.mode < 0, calibration.pull, data.mode == MODES.index("pull")),
     )  # fmt: skip
-    if tares is not None:
-        offset, noise, age_s = tares
-        age = None if data.t_s is None else age_s
-        given = given._replace(offset_strain=offset, variance_factor=1.0 / weight + noise, age_s=age)
     contacts, status, _ = estimator.rows(given, Before())
     words = {value: reasons.of_estimate(value) for value in np.unique(status).tolist()}
     for line, values, value in zip(data.line.tolist(), contacts.values.tolist(), status.tolist(), strict=True):
@@ -215,24 +213,29 @@ def estimates(
 
 
 def _tares(
-    data: Measurements, weight: FloatArray, calibration: Calibration
-) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    data: Measurements, weight: FloatArray, calibration: Calibration, frozen: IntArray | int
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
     """From the unloaded readings: the offset of each row (m, n), interpolated, its noise in variances of one reading,
-    and the time, or rows, to the nearest tare, (m,) each. None without unloaded readings."""
+    the time, or rows, to the nearest tare, and bits of the gauges without a tare, (m,) each. A gauge that is saturated
+    or frozen has no tare there."""
     from tipforce.sensor.calibration.regressors import tare_groups  # not where a log is read
 
-    groups = tare_groups(data.unloaded, np.ones(len(data.line), dtype=np.bool_))
-    if not groups:
-        return None
-    clock = data.t_s if data.t_s is not None else np.arange(len(data.line), dtype=np.float64)
-    at = np.array([np.average(clock[group], weights=weight[group]) for group in groups])
+    m, n = data.strain.shape
+    clock = data.t_s if data.t_s is not None else np.arange(m, dtype=np.float64)
     strain = Judge(calibration).compensated(data.strain, data.temperature_degC)
-    tare = np.array([np.average(strain[group], axis=0, weights=weight[group]) for group in groups])
-    readings = np.array([weight[group].sum() for group in groups])
-    after = np.clip(np.searchsorted(at, clock), min(1, len(at) - 1), len(at) - 1)
-    before = np.maximum(after - 1, 0)
-    span = at[after] - at[before]
-    share = np.clip((clock - at[before]) / np.where(span > 0.0, span, 1.0), 0.0, 1.0)
-    offset = tare[before] * (1.0 - share)[:, np.newaxis] + tare[after] * share[:, np.newaxis]
-    noise = (1.0 - share) ** 2 / readings[before] + share**2 / readings[after]
-    return offset, noise, np.minimum(np.abs(clock - at[before]), np.abs(clock - at[after]))
+    offset, noise, age, lost = np.zeros((m, n)), np.zeros(m), np.zeros(m), np.zeros(m, dtype=np.int64)
+    for k, limit in enumerate(calibration.converter_limit_strain.tolist()):
+        live = (np.abs(data.strain[:, k]) < (limit or np.inf)) & ((frozen >> k & 1) == 0)
+        groups = tare_groups(data.unloaded, live | ~data.unloaded)
+        if not groups:
+            lost |= 1 << k
+            continue
+        at, tare = (np.array([np.average(x[g], weights=weight[g]) for g in groups]) for x in (clock, strain[:, k]))
+        readings = np.array([weight[group].sum() for group in groups])
+        place = np.interp(clock, at, np.arange(len(at)))
+        before = place.astype(np.int64)
+        after, share = np.minimum(before + 1, len(at) - 1), place - before
+        offset[:, k] = tare[before] * (1.0 - share) + tare[after] * share
+        noise = np.maximum(noise, (1.0 - share) ** 2 / readings[before] + share**2 / readings[after])
+        age = np.maximum(age, np.minimum(np.abs(clock - at[before]), np.abs(clock - at[after])))
+    return offset, noise, age, lost

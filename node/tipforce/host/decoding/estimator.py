@@ -371,7 +371,7 @@ def estimate(
 
 def _room(out: Contacts | None, shape: tuple[int, ...]) -> Contacts:
     contacts = Contacts.empty(*shape) if out is None else out
-    columns = [getattr(contacts, name) for name in Contacts.__slots__]
+    columns = [getattr(contacts, name, None) for name in Contacts.__slots__]
     if any(not isinstance(column, np.ndarray) or column.shape != shape for column in columns):
         raise InputError(f"out: allowed is Contacts.empty({shape[0]})")
     return contacts

@@ -17,6 +17,7 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.samples import reasons
 from tipforce.samples.reasons import BEYOND_CALIBRATED, CONTRADICTION, OVERLOAD, TEMPERATURE
 from tipforce.sensor.contact import scalar
+from tipforce.sensor.contact.scalar_condition import dot
 from tipforce.sensor.contact.scalar_redundancy import LEAST_SHARE, NO_FAULT, explained
 from tipforce.sensor.contact.validity import held
 
@@ -145,7 +146,8 @@ class Judge:
             plain = active.model == 0.0 and np.ndim(noise) == 0
             with np.errstate(invalid="ignore", over="ignore"):
                 extra = None if plain else list(np.square(active.model * V))
-                chi_square, faults = explained(W, shown, list(V), extra, noise, np.sqrt)
+                # The limit has the calibration's own doubt in it, which a mean of readings does not reduce.
+                chi_square, faults = explained(W, shown, list(V), extra, np.maximum(noise, 1.0), np.sqrt)
                 agree = chi_square <= alarm
                 explains = [
                     c is not None and chi_square - f[0] <= exclusion for c, f in zip(shown, faults, strict=True)
@@ -160,7 +162,7 @@ class Judge:
                 faults = [(_part(by_fault, agree), _part(visible, agree)) for by_fault, visible in faults]
         work.left[rows] = mask
         gain = 1.0 + active.gain_per_kelvin * _part(work.kelvin, rows)
-        F = [_dot(row, V) / gain for row in solver[0]]
+        F = [dot(row, list(V)) / gain for row in solver[0]]
         if active.forces[0] > 0.0:
             work.faults[rows] |= np.where(active.forces[0] < magnitude(F), BEYOND_CALIBRATED, 0)
         K = self._covariance(mask, F, V, noise, faults, rows, work)
@@ -199,15 +201,15 @@ class Judge:
             kelvin = _part(work.unknown_kelvin, rows)
             moved: list[Column] = [active.gain_per_kelvin * f for f in F]
             if active.per_kelvin is not None:
-                moved = [m + _dot(row, active.per_kelvin) for m, row in zip(moved, matrix, strict=True)]
+                moved = [m + dot(row, active.per_kelvin) for m, row in zip(moved, matrix, strict=True)]
             K = _with(K, [kelvin * m for m in moved])
         if faults:
-            K = [k + d for k, d in zip(K, self._doubt(matrix, faults, noise), strict=True)]
+            K = [k + d for k, d in zip(K, self._doubt(matrix, faults, np.maximum(noise, 1.0)), strict=True)]
         if self.calibration.parameter_covariance is not None:
             K = [k + p for k, p in zip(K, self.of_parameters(mask, *F), strict=True)]
         if work.drifted is not None:
             drifted = work.drifted[rows]
-            K = [k + drifted * _dot(matrix[i], matrix[j]) for k, (i, j) in zip(K, _PAIRS, strict=True)]
+            K = [k + drifted * dot(matrix[i], matrix[j]) for k, (i, j) in zip(K, _PAIRS, strict=True)]
         return K
 
     def _doubt(self, matrix: list[list[float]], faults: list[tuple[Column, Column]], noise: Column) -> list[Column]:
@@ -240,7 +242,7 @@ class Judge:
             order = (*_PAIRS, (0, 3), (1, 3), (2, 3), (3, 3))
             self._parameters[mask] = [[float(kernel[a, b, i, j]) for i, j in order] for a, b in _PAIRS]
         products = (F1 * F1, F1 * F2, F1 * F3, F2 * F2, F2 * F3, F3 * F3, F1, F2, F3, 1.0)
-        return [_dot(row, products) for row in self._parameters[mask]]
+        return [dot(row, products) for row in self._parameters[mask]]
 
     def _differences(self, temperature_degC: FloatArray | None) -> tuple[Column, Column, Column]:
         """judgement.difference() of each sample."""
@@ -367,10 +369,3 @@ def _part(column: Column, rows: npt.NDArray[Any]) -> Column:
 def _with(K: list[Column], f: list[Column]) -> list[Column]:
     """The covariance with f f^T added."""
     return [k + f[i] * f[j] for k, (i, j) in zip(K, _PAIRS, strict=True)]
-
-
-def _dot(a: Any, b: Any) -> Column:
-    total = 0.0
-    for x, y in zip(a, b, strict=True):
-        total = total + x * y
-    return total

@@ -12,7 +12,7 @@ from tipforce.arrays import BoolArray, FloatArray, IntArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.calibration import regressors, statistics
 from tipforce.sensor.calibration.data import Model, Readings, checked
-from tipforce.sensor.calibration.distributions import f_quantile
+from tipforce.sensor.calibration.distributions import f_quantile, t_quantile
 from tipforce.sensor.calibration.regressors import OffsetBasis
 from tipforce.sensor.calibration.result import Fit, Temperature
 from tipforce.sensor.calibration.solve import NOISE_FLOOR, Problem, Solution, pick, solve
@@ -50,13 +50,13 @@ def _with_gain(readings: Readings, model: Model) -> Fit:
         return replace(fit, temperature=none)
     for _ in range(MAX_GAIN_PASSES):
         more, u = statistics.gain_of(problem, solution, change)
-        significant = abs(gain + more) > u * statistics.factor(fit.dof, statistics.CHANCE)
+        significant = abs(gain + more) > u * t_quantile(1.0 - 0.5 * statistics.CHANCE, max(fit.dof, 1.0))
         if not significant or abs(more) < 0.01 * u:
             break
         gain += more
         fit, problem, solution = _fitted(readings, model, gain)
     offsets, u_offsets = statistics.offsets_of(problem, solution, change)
-    k = statistics.factor(fit.dof)
+    k = t_quantile(0.975, max(fit.dof, 1.0))
     shown = Temperature(
         statistics.reference_temperature_degC(T), low, high, offsets, k * u_offsets, model.temperature,
         gain or more, k * u, gain != 0.0,

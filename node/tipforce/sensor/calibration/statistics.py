@@ -247,11 +247,6 @@ def offsets_of(problem: Problem, solution: Solution, change_K: FloatArray) -> tu
     return solution.coefficients[:, -1] * strain / span_K, np.sqrt(variance) * strain / span_K
 
 
-def factor(dof: float, chance: float = 0.05) -> float:
-    """Return how many standard uncertainties are beyond chance, to both sides."""
-    return t_quantile(1.0 - 0.5 * chance, max(dof, 1.0))
-
-
 FALSE_ALARM_RATE = 1e-6
 """Of the redundancy check, per sample."""
 

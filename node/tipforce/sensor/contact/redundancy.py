@@ -57,18 +57,18 @@ def weighted_inverse(A: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> Flo
 def structure_matrix(C: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> FloatArray:
     """Return A = Sigma C^T (C Sigma C^T)^-1, (n, 3), strain per newton: it inverts weighted_inverse(). Raises
     InputError where the shapes do not fit, C (3, n) has no rank 3, or the covariance is not positive definite."""
-    matrix, covariance = _matrix(C), floats("covariance_strain2", covariance_strain2)
+    (matrix, unit), covariance = _matrix(C), floats("covariance_strain2", covariance_strain2)
     _root(covariance, matrix.shape[1])
     if np.linalg.matrix_rank(matrix) < 3:
         raise InputError("the calibration cannot separate the three forces: allowed is C of rank 3")
-    A = np.linalg.solve(matrix @ covariance @ matrix.T, matrix @ covariance).T
+    A = np.linalg.solve(matrix @ covariance @ matrix.T, matrix @ covariance).T / unit
     return np.asarray(A, dtype=np.float64)
 
 
 def parity(C: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> Parity:
     """Return the information in the residuals of n > 3 gauges. C: (3, n), weighted by covariance_strain2 (n, n). Raises
     InputError as structure_matrix() does, and for n = 3, where every reading fits some force."""
-    matrix, covariance = _matrix(C), floats("covariance_strain2", covariance_strain2)
+    (matrix, _), covariance = _matrix(C), floats("covariance_strain2", covariance_strain2)
     n = matrix.shape[1]
     if n < 4:
         raise InputError("three gauges have no parity direction: fault detection needs at least four")
@@ -127,13 +127,15 @@ def detect(
     return Faults(chi_square, fault, candidates, np.where(fault, alone, NONE).astype(np.int64))
 
 
-def _matrix(C: npt.ArrayLike) -> FloatArray:
+def _matrix(C: npt.ArrayLike) -> tuple[FloatArray, float]:
+    """C over its unit, a power of two: squares stay in range, and no direction W depends on it."""
     matrix = floats("C", C)
     if matrix.ndim != 2 or matrix.shape[0] != 3 or matrix.shape[1] < 3:
         raise InputError(f"C has the shape {matrix.shape}: allowed is (3, n) with n gauges, at least 3")
     if not np.isfinite(matrix).all():
         raise InputError(f"C holds {matrix[~np.isfinite(matrix)][0]}: allowed are finite numbers")
-    return matrix
+    unit = float(np.ldexp(1.0, np.frexp(np.abs(matrix).max())[1] - 1))
+    return matrix / unit, unit
 
 
 def _root(covariance_strain2: npt.ArrayLike, n: int) -> FloatArray:

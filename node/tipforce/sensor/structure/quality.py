@@ -83,10 +83,13 @@ def condition_number(matrix: npt.ArrayLike) -> float:
 
 
 def row_equilibrated_condition_number(matrix: npt.ArrayLike) -> float:
-    """Return the condition number of rows of unit length (inf: a zero row): noise is a share of each range."""
+    """Return condition_number() of rows of unit length (inf: a zero row): noise is a share of each range."""
     rows = floats("matrix", matrix)
-    lengths = np.linalg.norm(rows, axis=1, keepdims=True)
-    return condition_number(rows / lengths) if lengths.all() else float("inf")
+    largest = np.abs(rows).max(axis=-1, keepdims=True, initial=0.0)
+    with np.errstate(invalid="ignore"):
+        rows = rows / np.where(largest > 0.0, largest, 1.0)  # squares stay in range
+    lengths = np.linalg.norm(rows, axis=-1, keepdims=True)
+    return condition_number(rows / lengths) if lengths.all() or not rows.size else float("inf")
 
 
 def noise_gain(C: npt.ArrayLike) -> float:

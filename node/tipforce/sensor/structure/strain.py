@@ -40,18 +40,13 @@ class Geometry:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            _check_positive(field.name, getattr(self, field.name))
+            value = getattr(self, field.name)
+            if not isinstance(value, (int, float)) or isinstance(value, bool) or not 0.0 < value < math.inf:
+                raise InputError(f"geometry {field.name} = {value!r}: allowed is a positive finite number in SI units")
 
     def thin(self, h1_m: float) -> Geometry:
         """Return the same body with h1_m and h2 = sqrt(8/3) h1 (section 3.1); h1_m -> 0 is the thin limit."""
-        _check_positive("h1_m", h1_m)
         return replace(self, h1_m=h1_m, h2_m=THIN_BEAM_RATIO * h1_m)
-
-
-def _check_positive(name: str, value: object) -> None:
-    if isinstance(value, (int, float)) and not isinstance(value, bool) and 0.0 < value < math.inf:
-        return
-    raise InputError(f"geometry {name} = {value!r}: allowed is a positive finite number in SI units")
 
 
 FABRICATED = Geometry(
