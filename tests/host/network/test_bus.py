@@ -2,6 +2,7 @@
 nodes: our own, a stopped one, foreign devices, and one that dies meanwhile."""
 
 import itertools
+import math
 import struct
 import threading
 from collections.abc import Iterator
@@ -32,6 +33,14 @@ def test_what_is_not_allowed_is_named() -> None:
             with pytest.raises(InputError, match=rf"node-id {node_id}: allowed are 1 to 127"):
                 connection.sdo(node_id)
         assert connection.sdo(3) is connection.sdo(3)
+
+
+def test_a_sync_for_one_reading_is_no_producer(monkeypatch: pytest.MonkeyPatch) -> None:
+    with connected() as (connection, _):
+        connection.dispatcher.notify(0x80, bytearray(), 0.0)
+        assert connection.sync_due_s(0.01) == math.inf
+        monkeypatch.setattr("tipforce.host.network.bus._SYNC_SILENT_S", 0.0)
+        assert connection.sync_due_s(0.01) == -math.inf
 
 
 def test_wait_for_names_what_did_not_come() -> None:

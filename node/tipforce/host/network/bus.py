@@ -248,7 +248,8 @@ class Bus:
 
     def _on_sync(self, _can_id: int, _data: bytearray, _t_s: float) -> None:
         now_s = time.monotonic()
-        self._foreign_sync_s = now_s, min(now_s - self._foreign_sync_s[0], _LONGEST_SYNC_PERIOD_S)
+        period_s = now_s - self._foreign_sync_s[0]  # of two that are far apart none: they were sent for one reading each
+        self._foreign_sync_s = now_s, period_s if period_s <= _LONGEST_SYNC_PERIOD_S else 0.0
 
     def send(self, can_id: int, data: bytes) -> None:
         """Send one frame with an 11-bit identifier. Raises EnvironmentLackError if the bus refuses it."""
