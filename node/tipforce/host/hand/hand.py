@@ -149,7 +149,7 @@ class Hand:
     def start(self) -> None:
         """Start to receive, to send SYNCs (unless sync_hz is 0), and to monitor."""
         if self._thread is not None or self._stopped.is_set():
-            raise InputError(f"the hand {'was stopped' if self._stopped.is_set() else 'is already started'}: open another")
+            raise InputError("the hand is already started, or was stopped: open another")
         self._recovery.overflow = wanted_overflow(self._link, self.file, self._nodes)
         self._begin()
         self._thread = threading.Thread(target=self._run, name="hand", daemon=True)

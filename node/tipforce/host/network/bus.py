@@ -118,6 +118,8 @@ class Dispatcher(can.Listener):
             raise RuntimeError("Not connected to CAN bus")
         with self._lock:
             self.bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+        if can_id & codes.FUNCTION_MASK == codes.SDO_REQUEST_BASE:
+            self.notify(can_id, bytearray(data), 0.0)
         if self.notifier is not None and self.notifier.exception is not None:
             raise self.notifier.exception
 
@@ -248,7 +250,7 @@ class Bus:
 
     def _on_sync(self, _can_id: int, _data: bytearray, _t_s: float) -> None:
         now_s = time.monotonic()
-        period_s = now_s - self._foreign_sync_s[0]  # of two that are far apart none: they were sent for one reading each
+        period_s = now_s - self._foreign_sync_s[0]  # a long one is none: each was sent for one reading
         self._foreign_sync_s = now_s, period_s if period_s <= _LONGEST_SYNC_PERIOD_S else 0.0
 
     def send(self, can_id: int, data: bytes) -> None:

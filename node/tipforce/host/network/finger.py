@@ -94,7 +94,9 @@ class Finger:
         ``timeout_s``, as ``SdoChannel``, and InputError without a PDO of contact, force or all gauges."""
         checked_time("timeout_s", timeout_s)
         period_s = None if self._passive or not timeout_s else 1.0 / DEFAULT_RATE_HZ
-        return self._opened().newest(time.monotonic() + timeout_s, period_s)
+        while (contact := self._opened().newest(time.monotonic() + timeout_s, period_s)) is None:
+            pass
+        return contact
 
     def samples(self, timeout_s: float = 1.0, rate_hz: float = DEFAULT_RATE_HZ) -> ContactStream:
         """Yield each new sample as it arrives, for ``for`` and ``async for``. If no node sends SYNCs, they are sent at
@@ -104,7 +106,7 @@ class Finger:
         checked_time("timeout_s", timeout_s)
         if not 0.0 < rate_hz <= HIGHEST_RATE_HZ:
             raise InputError(f"rate_hz = {rate_hz!r}: allowed is above 0, up to {HIGHEST_RATE_HZ:g}")
-        return ContactStream(self._opened(), timeout_s, None if self._passive else 1.0 / rate_hz)
+        return ContactStream(self._opened, timeout_s, None if self._passive else 1.0 / rate_hz)
 
     def close(self) -> None:
         """Stop receiving its PDOs. ``Bus.close`` also does it."""
@@ -117,6 +119,9 @@ class Finger:
         from tipforce.host.network.finger_samples import ContactReader
 
         with self._lock:
+            if self._reader is not None and self._reader.outdated:
+                self._reader.close()
+                self._reader, self._started_s = None, -math.inf
             if self._reader is None:
                 self._calibrations[self.node_id] = None if self._passive else self.calibration()
                 bus, gauges = self._connection, self._default_gauges
