@@ -20,15 +20,13 @@ from tipforce.host.hand.events import Event, Kind
 from tipforce.host.hand.file import FingerPlan, HandFile
 from tipforce.host.hand.meaning import set_overflow
 from tipforce.host.network.bus import Bus
+from tipforce.host.network.bus_load import HEALTH_MS
 from tipforce.host.network.find import FIND_S, command_and_wait, responding_nodes
 from tipforce.host.network.finger import Finger, Identity
 from tipforce.host.network.lss import LssMaster
 from tipforce.host.network.sdo import SdoChannel
 
 STEPS = ("find", "identity", "configure", "verify", "calibrate", "start")
-HEALTH_MS = 300
-"""Event timer of the health PDO: 2126h comes at least so often."""
-
 NOT_CALIBRATED = "not calibrated: P, phi and theta are unknown; the hand file names no calibration"
 BOOT_S = 1.0  # from the assignment of a node-id to the boot-up message
 _SIDE_BY_SIDE = 8

@@ -26,7 +26,7 @@ from canopen_device.core.codes import OPERATIONAL
 from tipforce.errors import EnvironmentLackError, InputError, RefusedError, TipforceError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.frames.frame_array import FRAME, FrameArray, frame_array
-from tipforce.host.hand.bring_up import HEALTH_MS, FingerReport, bring_up, side_by_side
+from tipforce.host.hand.bring_up import FingerReport, bring_up, side_by_side
 from tipforce.host.hand.events import BabbleWatch, Event, Supervisor, waited_s
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, hand_of, read_hand
 from tipforce.host.hand.link import Jitter, JitterFigures, Link, open_link, wanted_overflow
@@ -34,7 +34,7 @@ from tipforce.host.hand.recovery import LOST, Recovery, RecoveryQueue
 from tipforce.host.hand.rows import Collector, Delivery, HandRow, HandRows, rows_one_by_one
 from tipforce.host.hand.trust import COUNTER
 from tipforce.host.network.bus import Bus
-from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
+from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, HEALTH_MS, LoadMeter
 from tipforce.samples.record import RowContacts, Rows
 from tipforce.samples.rows import RowTally
 from tipforce.samples.sync_numbers import LARGEST
