@@ -6,6 +6,7 @@ import math
 import struct
 import threading
 from collections.abc import Iterator
+from unittest.mock import Mock
 
 import can
 import pytest
@@ -13,6 +14,7 @@ import pytest
 from canopen_device.core import codes
 from canopen_device.core.node import Device
 from canopen_device.core.object_dictionary import ObjectDictionary
+from canopen_device.running.open_bus import PythonCanPort
 from host.bus_with_nodes import FaultyBus, beam_calibration, connected, finger, new_channel, running
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
@@ -23,6 +25,7 @@ from tipforce.host.network.find import FoundNode, find_nodes
 from tipforce.host.network.finger import Identity
 from tipforce.host.network.interfaces import open_bus
 from tipforce.host.network.lss import LssMaster
+from tools.rig import until
 
 
 def test_what_is_not_allowed_is_named() -> None:
@@ -33,6 +36,21 @@ def test_what_is_not_allowed_is_named() -> None:
             with pytest.raises(InputError, match=rf"node-id {node_id}: allowed are 1 to 127"):
                 connection.sdo(node_id)
         assert connection.sdo(3) is connection.sdo(3)
+
+
+def test_a_link_that_ends_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """socketcand: a write to a closed socket is no error of python-can, the text of a failed read has a traceback."""
+    with connected() as (connection, bus):
+        with monkeypatch.context() as ended:
+            ended.setattr(bus, "send", Mock(side_effect=BrokenPipeError(32, "Broken pipe")))
+            with pytest.raises(EnvironmentLackError, match=r"0x000: the bus refused it: .* Broken pipe$"):
+                connection.nmt("start", 1)
+            PythonCanPort(bus).send([(0x080, b"")])
+        with monkeypatch.context() as ended:
+            ended.setattr(bus, "recv", Mock(side_effect=can.CanOperationError("reset by peer  Traceback (most recent")))
+            until(lambda: connection.notifier.exception)
+            with pytest.raises(EnvironmentLackError, match=r"reset by peer$"):
+                find_nodes(connection, [1], 0.0)
 
 
 def test_a_sync_for_one_reading_is_no_producer(monkeypatch: pytest.MonkeyPatch) -> None:

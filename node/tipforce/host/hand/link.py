@@ -53,8 +53,7 @@ class Link:
         """Return the received frames, FRAME (n,), SYNCs included. Raises EnvironmentLackError if the bus fails."""
         if self._socketcan is not None:
             return self._socketcan.receive(timeout_s)
-        if (exception := self.connection.notifier.exception) is not None:
-            raise EnvironmentLackError(f"the bus failed: {exception}")
+        self.connection.check_reception()
         return self._frames.take_some(time.monotonic() + timeout_s)
 
     def start_sync(self, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:

@@ -15,6 +15,7 @@ import can
 
 from canopen_device.can_frame import raw_can_id
 from canopen_device.core import codes
+from canopen_device.errors import cause
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
 from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
@@ -258,8 +259,13 @@ class Bus:
         self.duplicates.frame(can_id, data, time.time_ns())
         try:
             self.dispatcher.send_message(can_id, data)
-        except (can.CanError, RuntimeError) as error:
-            raise EnvironmentLackError(f"frame 0x{can_id:03X}: the bus refused it: {error}") from None
+        except (can.CanError, OSError, RuntimeError) as error:
+            raise EnvironmentLackError(f"frame 0x{can_id:03X}: the bus refused it: {cause(error)}") from None
+
+    def check_reception(self) -> None:
+        """Raise EnvironmentLackError if the bus failed: frames may be lost."""
+        if (exception := self.notifier.exception) is not None:
+            raise EnvironmentLackError(f"the bus failed: {cause(exception)}")
 
     def check_duplicates(self, node_ids: Iterable[int] = ()) -> None:
         """Raise DuplicateNodeError if two nodes use one of ``node_ids``, or one with which SDO was spoken. Waits for
