@@ -29,7 +29,7 @@ from tipforce.host.network.sdo import SdoChannel
 STEPS = ("find", "identity", "configure", "verify", "calibrate", "start")
 NOT_CALIBRATED = "not calibrated: P, phi and theta are unknown; the hand file names no calibration"
 BOOT_S = 1.0  # from the assignment of a node-id to the boot-up message
-_SIDE_BY_SIDE = 8
+SIDE_BY_SIDE = 8
 
 T = TypeVar("T")
 OnEvent = Callable[[Event], None]
@@ -245,5 +245,5 @@ def _start(connection: Bus, hand: HandFile, finger: Finger, before_start: Callab
 
 def side_by_side(act: Callable[[T], None], of: Sequence[T]) -> None:
     """Do something with each finger, in parallel."""
-    with ThreadPoolExecutor(_SIDE_BY_SIDE, thread_name_prefix="bring-up") as pool:
+    with ThreadPoolExecutor(SIDE_BY_SIDE, thread_name_prefix="bring-up") as pool:
         list(pool.map(act, of))

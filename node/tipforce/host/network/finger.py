@@ -84,7 +84,6 @@ class Finger:
     def __init__(self, connection: Bus, node_id: int, *, passive: bool = False, default_gauges: int = 3) -> None:
         self.node_id, self.sdo = node_id, connection.sdo(node_id)
         self._connection, self._passive, self._default_gauges = connection, passive, default_gauges
-        self._calibrations: dict[int, Calibration | None] = {}  # of the samples that are joined from now on
         self._lock = threading.Lock()
         self._reader: ContactReader | None = None
         self._started_s = -math.inf
@@ -123,9 +122,9 @@ class Finger:
                 self._reader.close()
                 self._reader, self._started_s = None, -math.inf
             if self._reader is None:
-                self._calibrations[self.node_id] = None if self._passive else self.calibration()
+                calibrations = {self.node_id: None if self._passive else self.calibration()}
                 bus, gauges = self._connection, self._default_gauges
-                self._reader = ContactReader(bus, self.node_id, self._calibrations, self._passive, gauges)
+                self._reader = ContactReader(bus, self.node_id, calibrations, self._passive, gauges)
             state, now_s = self._connection.heartbeats.state(self.node_id), time.monotonic()
             to_start = not self._passive and state not in (codes.OPERATIONAL, codes.STOPPED)
             if to_start and now_s - self._started_s > _START_AGAIN_S:
@@ -173,7 +172,6 @@ class Finger:
         self._write_refusable(od.CALIBRATION_EXPECTED_CRC, crc)
         on_step(f"staged {len(record)} bytes, CRC-32 0x{crc:08X}")
         self._write_refusable(od.CALIBRATION_COMMIT, table.SIGNATURE_COMMIT)
-        self._calibrations[self.node_id] = Calibration.from_record(record)
         generation = self.sdo.read(od.CALIBRATION_GENERATION)
         on_step(f"committed, generation {generation}")
         if lines := self.verify_calibration(calibration):

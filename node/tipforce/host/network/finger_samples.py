@@ -169,12 +169,11 @@ class ContactReader:
 
 def _changes(can_id: int, data: bytearray) -> bool:
     """Return whether a node boots, or its PDOs or its calibration are written."""
-    if can_id & codes.FUNCTION_MASK == codes.HEARTBEAT_BASE:
-        return data == bytes((codes.INITIALISING,))
+    if can_id < codes.SDO_REQUEST_BASE or len(data) != 8:
+        return can_id >= codes.HEARTBEAT_BASE and data == b"\0"
     index = int.from_bytes(data[1:3], "little")
     is_pdo = communication.TPDO <= index <= communication.LAST_TPDO_MAPPING
-    download = can_id & codes.FUNCTION_MASK == codes.SDO_REQUEST_BASE and data[:1] and data[0] >> 5 == _DOWNLOAD
-    return bool(download) and (is_pdo or index == objects.CALIBRATION_COMMIT.index)
+    return data[0] >> 5 == _DOWNLOAD and (is_pdo or index == objects.CALIBRATION_COMMIT.index)
 
 
 class ContactStream(Iterator[Contact], AsyncIterator[Contact]):
