@@ -12,6 +12,11 @@ class InputError(CanopenDeviceError):
     """A file, an argument or a value of the user is invalid; the text names it and what is allowed."""
 
 
+def cause(error: BaseException) -> str:
+    """Return the text of an error of a bus, without the traceback that socketcand's has."""
+    return str(error).partition("  Traceback")[0]
+
+
 @contextmanager
 def placed(place: str) -> Iterator[None]:
     """Put a place in front of the text of an InputError that the block raises."""

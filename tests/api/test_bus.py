@@ -7,6 +7,7 @@ import math
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import can
 import canopen
@@ -16,6 +17,7 @@ from bench.measure import background
 
 import tipforce
 from tipforce.dictionary import objects as od
+from tipforce.host import apply_configuration, read_configuration
 from tools.rig import message, sending, until
 
 LOAD = (4.4, 90.0, 45.0)
@@ -67,6 +69,28 @@ def test_a_new_calibration_gives_the_uncertainties_at_once(bus: tipforce.Simulat
     noisy = dataclasses.replace(calibration, covariance_strain2=1e4 * calibration.covariance_strain2)
     finger.apply_calibration(noisy, store=False)
     assert finger.read().u_P_newtons == pytest.approx(100.0 * u_newtons, rel=0.1)
+
+
+def test_a_finger_that_another_master_remaps_and_that_boots_is_read_anew(
+    bus: tipforce.SimulatedBus, tmp_path: Path
+) -> None:
+    path = tmp_path / "swapped.toml"
+    words = (f"process_value_int16:{k}" for k in (7, 9, 8))
+    path.write_text(f'[objects]\n"tpdo2.mapping" = {[*words, "status", "counter"]}\n')
+    with tipforce.open(**bus.bus_options) as opened, tipforce.open(**bus.bus_options) as other:
+        finger, stream = opened.finger(5), opened.finger(5).samples(timeout_s=5.0)
+        assert close_to(next(stream), LOAD)
+        for master in (other, opened):
+            apply_configuration(master.sdo(5), read_configuration(path, 5))
+            assert close_to(next(stream), LOAD)
+            other.nmt("reset-node", 5)
+            until(lambda: opened.heartbeats.state(5) == 0x7F)
+            assert close_to(finger.read(5.0), LOAD)
+        calibration, u_newtons = finger.calibration(), finger.read().u_P_newtons
+        assert calibration is not None
+        noisy = dataclasses.replace(calibration, covariance_strain2=1e4 * calibration.covariance_strain2)
+        other.finger(5).apply_calibration(noisy, store=False)
+        assert next(stream).u_P_newtons == pytest.approx(100.0 * u_newtons, rel=0.1)
 
 
 def test_samples_follow_the_load(bus: tipforce.SimulatedBus) -> None:

@@ -161,6 +161,7 @@ replay run.log a=b X => allowed is one of them
 replay run.log --speed 0 | replay run.log --speed nan => %: '@': allowed are numbers over 0, and inf
 replay run.log --max-gap -1 | replay run.log --max-gap soon => %: '@': allowed are 0 or more seconds
 monitor --speed 1 X => --follow and --speed: need a log
+monitor can0,181:7FF can0 | monitor any can0 => allowed is each bus once
 monitor run.log can0 => --nodes selects from a log
 monitor x.log --once 0 | monitor x.log --once x | monitor x.log --interval nan | monitor x.log --speed 0 => allowed
 PLOT --signals Q => no message has the signal Q

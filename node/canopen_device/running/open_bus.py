@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from canopen_device.can_frame import raw_can_id
-from canopen_device.errors import EnvironmentLackError, InputError
+from canopen_device.errors import EnvironmentLackError, InputError, cause
 
 if TYPE_CHECKING:
     import can  # slow to import: imported where a bus is used
@@ -60,7 +60,7 @@ class PythonCanPort:
 
         try:
             message = self._bus.recv(timeout_s)
-        except can.CanError as error:
+        except (can.CanError, OSError) as error:
             self._fail("receive failed", error)
             time.sleep(_AFTER_ERROR_S)
             return None
@@ -77,7 +77,7 @@ class PythonCanPort:
             try:
                 self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
                 self._failing = False
-            except can.CanError as error:
+            except (can.CanError, OSError) as error:
                 self._fail("a frame was not sent", error)
 
     def request(self, what: str, value: int, delay_ms: int) -> None:
@@ -91,7 +91,7 @@ class PythonCanPort:
         """Close the bus."""
         self._bus.shutdown()
 
-    def _fail(self, what: str, error: can.CanError) -> None:
+    def _fail(self, what: str, error: Exception) -> None:
         if not self._failing:
             self._failing = True
-            _LOG.warning("%s: %s; the node continues when the bus works again", what, error)
+            _LOG.warning("%s: %s; the node continues when the bus works again", what, cause(error))

@@ -50,7 +50,7 @@ class _Master(FrameBuffer):
         self._said: list[tuple[int, int, bytes]] = []
         self._refused = self._received = 0
         self.syncs = 0
-        self._error: can.CanError | None = None  # of the last frame
+        self._error: Exception | None = None  # of the last frame
         self._failure: Exception | None = None  # of the reception, until a frame passes
         self.epoch_ns = time.time_ns()
 
@@ -77,7 +77,7 @@ class _Master(FrameBuffer):
         t_ns = time.time_ns()
         try:
             self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
-        except can.CanError as error:
+        except (can.CanError, OSError) as error:
             if not self._said:
                 raise EnvironmentLackError(f"frame 0x{can_id:03X}: the bus refused it: {error}") from None
             if self._error is None:

@@ -316,7 +316,7 @@ class HandFeed(Feed):
         with self._changed:
             items, self._waiting = self._waiting, deque()
         rows = [item for item in items if isinstance(item, Rows)]
-        blocks = [joined(rows).block([finger.calibration for finger in self.fingers], self.gauges)] if rows else []
+        blocks = [joined(rows).block(self._hand.calibrations, self.gauges)] if rows else []
         return blocks, [item for item in items if isinstance(item, Event)]
 
     def tare(self, node_id: int) -> str:

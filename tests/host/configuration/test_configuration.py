@@ -1,5 +1,6 @@
 """Configuration files, TOML and DCF: what they say, in which order it goes to the node, what is wrong with them."""
 
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from host.bus_with_nodes import connected, finger
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.eds import dcf_text
 from tipforce.dictionary.names import entries
-from tipforce.errors import InputError, SdoAbortError
+from tipforce.errors import InputError, NoResponseError, SdoAbortError
 from tipforce.host import apply_configuration, read_configuration, verify_configuration
 from tipforce.host.configuration.configuration_file import Configuration
 from tipforce.host.network.bus import Bus
@@ -207,6 +208,19 @@ def test_a_write_only_object_is_applied_and_not_compared(tmp_path: Path, sdo: Sd
 def test_what_the_node_refuses_is_named(tmp_path: Path, sdo: SdoChannel) -> None:
     with pytest.raises(SdoAbortError, match=r"write of 0x1800:02: abort 0x06090030"):
         apply_configuration(sdo, read_text(tmp_path, '[objects]\n"tpdo1.transmission_type" = 252\n'))
+
+
+@pytest.mark.parametrize("lost", [2, 5])
+def test_silence_puts_back_what_was_there(tmp_path: Path, lost: int) -> None:
+    """The responses to two tries of one write are lost: in a PDO, or in its mapping."""
+    wanted = read_text(tmp_path, REMAP)
+    with connected(finger(NODE), timeout_s=0.05, retries=1) as (connection, bus):
+        sdo, writes = connection.sdo(NODE), itertools.count()
+        before = {entry.key: sdo.read(entry) for entry, _ in wanted.values()}
+        bus.fault = lambda frame: None if frame.data[0] == 0x60 and next(writes) in (lost, lost + 1) else frame
+        with pytest.raises(NoResponseError):
+            apply_configuration(sdo, wanted)
+        assert {entry.key: sdo.read(entry) for entry, _ in wanted.values()} == before
 
 
 def test_a_refusal_puts_back_what_was_there(tmp_path: Path, sdo: SdoChannel) -> None:

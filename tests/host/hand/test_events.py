@@ -83,6 +83,9 @@ def test_four_times_the_sync_is_the_limit() -> None:
     # 100 Hz: 20 SYNCs in a window.
     assert windows(BabbleWatch(100.0), {0x80: 20, 0x283: 79}, {0x283: 80}) == []
     assert windows(BabbleWatch(100.0), {0x80: 20, 0x283: 82}) == [("babbling", 3, 0x283)]
+    slow = {0x80: 1, 0x283: 1, 0x703: 20}  # heartbeats are more frequent than the SYNC
+    assert windows(BabbleWatch(1.0, 100.0), slow, {0x283: 81}) == [("babbling", 3, 0x283)]
+    assert windows(BabbleWatch(1.0), {0x80: 1, 0x283: 1}) == []
 
 
 def test_at_the_limit_it_is_not_told_again_and_again() -> None:

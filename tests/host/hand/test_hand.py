@@ -10,7 +10,7 @@ import pytest
 from bench.hand import HEADER, measure
 from bench.soak import Soak
 
-from host.bus_with_nodes import apply_load, beam_calibration, finger, new_channel, running
+from host.bus_with_nodes import ROUNDING_STRAIN2, apply_load, beam_calibration, finger, new_channel, running
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.hand import recovery as module
@@ -19,6 +19,8 @@ from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
 from tipforce.host.hand.link import Jitter, ThreadSync
 from tipforce.host.hand.recovery import RecoveryQueue
+from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix
+from tipforce.watching.feeds import HandFeed, hand_fingers
 from tools.rig import until
 
 WAIT_S = 60.0
@@ -31,7 +33,7 @@ def hand(tmp_path: Path) -> Iterator[Hand]:
     write_calibration(tmp_path / "cal.toml", beam_calibration())
     file = HandFile(
         finger=tuple(FingerPlan(node_id=n, serial=n, calibration="cal.toml") for n in (1, 2)),
-        hand=HandPlan(sync_hz=100.0, heartbeat_ms=50),
+        hand=HandPlan(sync_hz=100.0, heartbeat_ms=50, foreign_changes="accept"),
         bus={"interface": "virtual", "channel": channel},
         folder=str(tmp_path),
     )
@@ -64,6 +66,24 @@ def test_every_sync_gives_a_row_with_every_finger(hand: Hand) -> None:
     iterator = hand.blocks()
     hand.stop()
     assert sum(1 for _ in iterator) < 1000
+    with pytest.raises(InputError, match="was stopped"):
+        hand.start()
+    with pytest.raises(InputError, match="node_id = 1 is a duplicate"):
+        Hand.open([1, 1])
+
+
+def test_an_accepted_calibration_gives_the_uncertainties_of_a_feed(hand: Hand) -> None:
+    feed = HandFeed(hand, hand_fingers(hand))
+
+    def exceeds(u_newtons: float) -> bool:
+        return any(np.nanmax(block.u[:, 0, 0], initial=0) > u_newtons for block in feed.take(0.1)[0])
+
+    u_newtons = float(np.sqrt(ROUNDING_STRAIN2) * np.linalg.norm(calibration_matrix(FABRICATED, "I")))  # the most
+    until(lambda: exceeds(0.0))
+    assert not exceeds(u_newtons)
+    doubled = beam_calibration(C=20.0 * calibration_matrix(FABRICATED, "I"))
+    hand.connection.finger(1).apply_calibration(doubled, store=False)
+    until(lambda: exceeds(u_newtons))
 
 
 def test_a_dead_receiver_is_an_event(hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -178,6 +198,7 @@ def test_the_thread_sends_as_many_as_it_should() -> None:
     while sent.acquire(blocking=False):
         pass
     assert not sent.acquire(timeout=0.02)
+    ThreadSync(lambda _data: None, 3600.0).stop()
 
 
 def test_a_bus_that_refuses_ends_it_and_a_slow_one_loses_syncs() -> None:

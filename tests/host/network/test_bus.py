@@ -2,9 +2,11 @@
 nodes: our own, a stopped one, foreign devices, and one that dies meanwhile."""
 
 import itertools
+import math
 import struct
 import threading
 from collections.abc import Iterator
+from unittest.mock import Mock
 
 import can
 import pytest
@@ -12,6 +14,7 @@ import pytest
 from canopen_device.core import codes
 from canopen_device.core.node import Device
 from canopen_device.core.object_dictionary import ObjectDictionary
+from canopen_device.running.open_bus import PythonCanPort
 from host.bus_with_nodes import FaultyBus, beam_calibration, connected, finger, new_channel, running
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
@@ -22,6 +25,7 @@ from tipforce.host.network.find import FoundNode, find_nodes
 from tipforce.host.network.finger import Identity
 from tipforce.host.network.interfaces import open_bus
 from tipforce.host.network.lss import LssMaster
+from tools.rig import until
 
 
 def test_what_is_not_allowed_is_named() -> None:
@@ -32,6 +36,29 @@ def test_what_is_not_allowed_is_named() -> None:
             with pytest.raises(InputError, match=rf"node-id {node_id}: allowed are 1 to 127"):
                 connection.sdo(node_id)
         assert connection.sdo(3) is connection.sdo(3)
+
+
+def test_a_link_that_ends_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """socketcand: a write to a closed socket is no error of python-can, the text of a failed read has a traceback."""
+    with connected() as (connection, bus):
+        with monkeypatch.context() as ended:
+            ended.setattr(bus, "send", Mock(side_effect=BrokenPipeError(32, "Broken pipe")))
+            with pytest.raises(EnvironmentLackError, match=r"0x000: the bus refused it: .* Broken pipe$"):
+                connection.nmt("start", 1)
+            PythonCanPort(bus).send([(0x080, b"")])
+        with monkeypatch.context() as ended:
+            ended.setattr(bus, "recv", Mock(side_effect=can.CanOperationError("reset by peer  Traceback (most recent")))
+            until(lambda: connection.notifier.exception)
+            with pytest.raises(EnvironmentLackError, match=r"reset by peer$"):
+                find_nodes(connection, [1], 0.0)
+
+
+def test_a_sync_for_one_reading_is_no_producer(monkeypatch: pytest.MonkeyPatch) -> None:
+    with connected() as (connection, _):
+        connection.dispatcher.notify(0x80, bytearray(), 0.0)
+        assert connection.sync_due_s(0.01) == math.inf
+        monkeypatch.setattr("tipforce.host.network.bus._SYNC_SILENT_S", 0.0)
+        assert connection.sync_due_s(0.01) == -math.inf
 
 
 def test_wait_for_names_what_did_not_come() -> None:

@@ -13,7 +13,7 @@ from canopen_device.can_frame import least_bits, most_bits
 from host.bus_with_nodes import new_channel
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import frame_array
-from tipforce.host.network.bus_load import LoadMeter, hand_budget, highest_rate_hz, range_of_bits
+from tipforce.host.network.bus_load import LoadMeter, hand_budget, highest_rate_hz, range_of_bits, what_fits
 from tipforce.host.network.faulty_bus import Babbler, Faults, FaultyBus, Injector, RawFrame, quiet
 
 FRAMES: list[RawFrame] = [(0x181 + k % 5, k.to_bytes(4, "little")) for k in range(4000)]
@@ -159,6 +159,15 @@ def test_the_highest_rate_is_where_the_limit_is(nodes: int, pdos: tuple[str, ...
     rate = highest_rate_hz(nodes, pdos, limit=0.5)
     assert hand_budget(nodes, rate, pdos).most_load == pytest.approx(0.5)
     assert highest_rate_hz(127, ("Health",), bit_rate=10_000) == 0.0
+
+
+def test_what_fits_has_the_health_pdo_and_the_heartbeats_of_the_hand() -> None:
+    (line,) = what_fits(2, 100.0, ("Contact",), 3, 1_000_000, 0.05)
+    *_, rate, _, _, _, _, _, _, most, _ = line.split()
+    others = 2 / 0.3 * most_bits(8) + 2 / 0.05 * most_bits(1)
+    assert float(rate) == pytest.approx((0.8e6 - others) / (most_bits(0) + 2 * most_bits(8)), abs=0.5)
+    each = (100 + 1 / 0.3) * most_bits(8) + 20 * most_bits(1)
+    assert int(most) == (0.8e6 - 100 * most_bits(0)) // each
 
 
 @pytest.mark.parametrize(

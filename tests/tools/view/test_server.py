@@ -21,7 +21,7 @@ from tipforce_tools.page import server as view_server
 from tipforce_tools.page.guard import CONTENT_SECURITY_POLICY, Guard, access_token, host_names
 from tipforce_tools.page.server import MAX_OTHERS, MAX_PAGES, ViewServer, static_files
 from tools.rig import until
-from tools.view.support import WAIT_S, MovingSource, Page, get, serving
+from tools.view.support import WAIT_S, MovingSource, Page, fingers, get, serving
 
 
 def test_files_and_headers() -> None:
@@ -124,7 +124,7 @@ WRONG = [
     '{"do": "history", "start": 0, "end": 1e12, "bin": 1}', '{"do": "history", "start": 500, "end": 1, "bin": 1}',
     '{"do": "history", "start": 0, "end": 1, "bin": 1e99}', '{"do": "stream", "bin": 0}',
     '{"do": "stream", "start": 1, "speed": 0}', '{"do": "setup", "more": 1}', '{"do": "tare", "node_id": "1"}',
-    '{"do": "tare", "node_id": null}', '{"do": "tare", "node_id": 1.5}',
+    '{"do": "tare", "node_id": null}', '{"do": "tare", "node_id": 1.5}', '{"more": ' + "[" * 2000,
 ]  # fmt: skip
 
 
@@ -197,6 +197,11 @@ def test_the_buffer_as_csv() -> None:
         assert lines[0].startswith("t_s,node_id,name,P_N,phi_deg,theta_deg,u_P_N")
         assert len(lines) == 1 + 2 * source.model.counters.rows
         assert lines[2].split(",")[1:6] == ["2", "f2", lines[2].split(",")[3], "-90", "90"]
+    chunks = view_page.csv_chunks(source.model)
+    next(chunks)
+    source.model.set_fingers(fingers(3))
+    with pytest.raises(InputError, match="a finger was found meanwhile"):
+        next(chunks)
 
 
 def test_a_page_that_does_not_read_slows_nobody(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -176,7 +176,8 @@ def open_connection(args: argparse.Namespace) -> Iterator[Bus]:
         except TipforceError:
             from tipforce.watching.findings import Observed, of_the_wire
 
-            connection.check_duplicates()  # the cause of the error
+            connection.check_reception()  # a cause of the error, as the next
+            connection.check_duplicates()
             seen = Observed(heard_s=time.monotonic() - begun_s, link=link_of(args))
             seen.count(connection.buffer.take_all())
             for finding in of_the_wire(seen):

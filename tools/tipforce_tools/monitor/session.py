@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import InputError
 from tipforce.host.live.receiver import InterfaceDownError, Selection
-from tipforce.host.live.targets import STDIN, split_targets
+from tipforce.host.live.targets import ANY, STDIN, split_targets
 from tipforce.host.logs.notes import no_frame, no_sample
 from tipforce.watching.bus_monitor import QUANTITIES, BusView, Monitor, NodeView, Reading
 from tipforce.watching.frame_sources import BusSource, FrameSource, LogSource, PipeSource
@@ -108,6 +108,9 @@ def _source(
     if name is None:
         if args.follow or args.speed != math.inf:
             raise InputError("--follow and --speed: need a log")
+        channels = {target.channel for target in targets}
+        if len(targets) > (1 if ANY in channels else len(channels)):  # each frame twice looks like two nodes
+            raise InputError(f"{', '.join(sorted(channels))}: allowed is each bus once, with all its filters")
         return BusSource(opened.enter_context(open_targets(targets, args, hints=hints))), None
     if targets:
         raise InputError(f"{targets[0].channel}: not allowed with the log {name}; --nodes selects from a log")

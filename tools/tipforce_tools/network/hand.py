@@ -109,15 +109,15 @@ def _note_load(file: HandFile, bit_rate: int | None, budgeted: bool) -> None:
         return
     count, gauges = len(file.finger), file.finger[0].gauges
     bit_rate = int(bit_rate or file.bus.get("bitrate") or DEFAULT_BIT_RATE)
-    pdos = list(file.messages)
-    budget = hand_budget(count, file.hand.sync_hz, pdos, gauges, bit_rate, 1e-3 * file.hand.heartbeat_ms)
+    pdos, heartbeat_s = file.messages, 1e-3 * file.hand.heartbeat_ms
+    budget = hand_budget(count, file.hand.sync_hz, (*pdos, "Health"), gauges, bit_rate, heartbeat_s)
     share = f"{100 * budget.least_load:.0f} to {100 * budget.most_load:.0f} % of {bit_rate} bit/s"
     fits = budget.most_load <= LIMIT
     warning = f"warning: {count} fingers at {file.hand.sync_hz:g} Hz take {share}: rows will be late or lost"
     lines = [f"bus load {share}" if fits else warning]
     if budgeted or not fits:
         lines += [*budget_lines(budget), f"what fits under {100 * LIMIT:.0f} %:"]
-        lines += what_fits(count, file.hand.sync_hz, pdos, gauges, bit_rate, LIMIT)
+        lines += what_fits(count, file.hand.sync_hz, pdos, gauges, bit_rate, heartbeat_s)
     common.note("\n".join(lines))
 
 

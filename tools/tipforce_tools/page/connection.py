@@ -84,7 +84,8 @@ def envelope_message(model: Model, first: int, last: int, width_ns: int, what: C
 
 
 def csv_chunks(model: Model) -> Iterator[bytes]:
-    """Yield all rows of the buffer, oldest first. Empty cell: unknown value; status is 2120h, empty if missing."""
+    """Yield all rows of the buffer, oldest first. Empty cell: unknown value; status is 2120h, empty if missing. Raises
+    InputError where the fingers change."""
     fingers, (start_ns, end_ns) = model.fingers, model.span_ns()
     strains = ",".join(f"SG{k + 1}_ue" for k in range(model.gauges))
     yield f"t_s,node_id,name,P_N,phi_deg,theta_deg,u_P_N,u_phi_deg,u_theta_deg,{strains},status\n".encode()
@@ -92,8 +93,10 @@ def csv_chunks(model: Model) -> Iterator[bytes]:
     after_ns = start_ns - 1
     while True:
         block = model.rows_after(after_ns, _ROWS, end_ns)
-        if not len(block) or block.status.shape[1] != len(fingers):
+        if not len(block):
             return
+        if block.status.shape[1] != len(fingers):
+            raise InputError("a finger was found meanwhile: request the rows again")
         after_ns = int(block.t_ns[-1])
         lines = []
         parts = zip(
@@ -329,7 +332,7 @@ class Page:
                     request = msgspec.json.decode(text, type=AnyRequest)
                     request_id = request.id
                     await self._serve(request)
-                except (TipforceError, msgspec.DecodeError, UnicodeDecodeError) as error:
+                except (TipforceError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
                     await self._send({"id": request_id, "error": str(error)})
         self._end_stream()
 

@@ -170,11 +170,9 @@ class Model:
             for array in self._kept.columns:
                 array[:keep] = array[self._end - keep : self._end].copy()
             self._start, self._end = 0, keep
-        t_ns = np.maximum.accumulate(block.t_ns + self._shift_ns)
-        if self._end > self._start:
-            back_ns = max(int(self._kept.t_ns[self._end - 1] - t_ns[0]), 0)
-            self._shift_ns += back_ns
-            t_ns = t_ns + back_ns
+        last_ns = self._kept.t_ns[self._end - 1] - self._shift_ns if self._end > self._start else block.t_ns[0]
+        shift_ns = self._shift_ns + np.maximum(-np.diff(block.t_ns, prepend=last_ns), 0).cumsum()
+        self._shift_ns, t_ns = int(shift_ns[-1]), block.t_ns + shift_ns
         place = slice(self._end, self._end + len(block))
         for ours, theirs in zip(self._kept.columns, (t_ns, *block.columns[1:]), strict=True):
             ours[place] = theirs

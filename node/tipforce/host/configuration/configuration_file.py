@@ -17,7 +17,7 @@ from canopen_device.types import Value
 from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.names import describe
-from tipforce.errors import InputError, NoResponseError, SdoAbortError, placed
+from tipforce.errors import InputError, SdoAbortError, TipforceError, placed
 from tipforce.host.configuration.device_objects import DeviceObjects, EdsObjects, FingertipObjects, Place
 from tipforce.host.network.sdo import SdoChannel, finished
 
@@ -193,8 +193,8 @@ def _typed(entry: Entry[Value], value: object) -> Value:
 
 
 def apply_configuration(sdo: SdoChannel, wanted: Configuration) -> None:
-    """Write every object; PDO parameters by the procedure of 7.5.2.36. Raises NoResponseError and SdoAbortError. If the
-    node rejects one, the previous values are restored as far as the node accepts them."""
+    """Write every object; PDO parameters by the procedure of 7.5.2.36. Raises NoResponseError and SdoAbortError. If it
+    ends before the last, also by Ctrl-C, the previous values are restored as far as the node accepts them."""
     finished(apply_configuration_async(sdo, wanted, blocks=True))
 
 
@@ -205,10 +205,11 @@ async def apply_configuration_async(sdo: SdoChannel, wanted: Configuration, *, b
     try:
         for entry, value in _in_order(wanted, before):
             await sdo.write_async(entry, value, blocks=blocks)
-    except SdoAbortError:
-        with contextlib.suppress(SdoAbortError, NoResponseError):
+    except BaseException:
+        with contextlib.suppress(TipforceError):
             for entry, value in _in_order(before, wanted):
-                await sdo.write_async(entry, value, blocks=blocks)
+                with contextlib.suppress(SdoAbortError):
+                    await sdo.write_async(entry, value, blocks=blocks)
         raise
 
 

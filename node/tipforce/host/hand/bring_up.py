@@ -20,18 +20,16 @@ from tipforce.host.hand.events import Event, Kind
 from tipforce.host.hand.file import FingerPlan, HandFile
 from tipforce.host.hand.meaning import set_overflow
 from tipforce.host.network.bus import Bus
+from tipforce.host.network.bus_load import HEALTH_MS
 from tipforce.host.network.find import FIND_S, command_and_wait, responding_nodes
 from tipforce.host.network.finger import Finger, Identity
 from tipforce.host.network.lss import LssMaster
 from tipforce.host.network.sdo import SdoChannel
 
 STEPS = ("find", "identity", "configure", "verify", "calibrate", "start")
-HEALTH_MS = 300
-"""Event timer of the health PDO: 2126h comes at least so often."""
-
 NOT_CALIBRATED = "not calibrated: P, phi and theta are unknown; the hand file names no calibration"
 BOOT_S = 1.0  # from the assignment of a node-id to the boot-up message
-_SIDE_BY_SIDE = 8
+SIDE_BY_SIDE = 8
 
 T = TypeVar("T")
 OnEvent = Callable[[Event], None]
@@ -247,5 +245,5 @@ def _start(connection: Bus, hand: HandFile, finger: Finger, before_start: Callab
 
 def side_by_side(act: Callable[[T], None], of: Sequence[T]) -> None:
     """Do something with each finger, in parallel."""
-    with ThreadPoolExecutor(_SIDE_BY_SIDE, thread_name_prefix="bring-up") as pool:
+    with ThreadPoolExecutor(SIDE_BY_SIDE, thread_name_prefix="bring-up") as pool:
         list(pool.map(act, of))

@@ -109,16 +109,18 @@ def waited_s(frames: FrameArray, now_ns: int) -> float:
 
 WINDOW_S = 0.2
 TIMES_SYNC = 4.0
+_LEAST_HZ = 10.0
 _BEYOND = codes.STANDARD_MASK + 1
 _SDO_LAST = codes.SDO_REQUEST_BASE | codes.NODE_ID_MASK
 _BEYOND_HEARTBEATS = codes.HEARTBEAT_BASE + codes.NODE_ID_MASK + 1  # LSS
 
 
 class BabbleWatch:
-    """Count every 11-bit identifier over WINDOW_S, to be below TIMES_SYNC SYNCs (``sync_hz``, 0: those received)."""
+    """Count every 11-bit identifier over WINDOW_S, to be below TIMES_SYNC SYNCs (``sync_hz``, 0: those received), or
+    heartbeats if these are more frequent; a few frames are no rate."""
 
-    def __init__(self, sync_hz: float) -> None:
-        self._sync_hz = sync_hz
+    def __init__(self, sync_hz: float, heartbeat_hz: float = 0.0) -> None:
+        self._sync_hz, self._least_hz = sync_hz, max(heartbeat_hz, _LEAST_HZ)
         self._batches: list[FrameArray] = []
         self._since_s: float | None = None
         self._babbling: set[int] = set()
@@ -144,7 +146,7 @@ class BabbleWatch:
         counts = np.bincount(np.minimum(np.concatenate(ids), _BEYOND), minlength=_BEYOND + 1)[:_BEYOND]
         sync_hz = self._sync_hz or counts[codes.SYNC_COB_ID] / seconds
         counts[codes.SDO_RESPONSE_BASE : _SDO_LAST + 1] = counts[_BEYOND_HEARTBEATS:] = 0
-        limit = TIMES_SYNC * sync_hz * seconds
+        limit = TIMES_SYNC * max(sync_hz, self._least_hz) * seconds
         over = {int(n) for n in np.flatnonzero(counts > limit)} if sync_hz else set()
         # An end requires half the limit: an identifier near the limit would otherwise be reported repeatedly.
         over |= {n for n in self._babbling if counts[n] > limit / 2}

@@ -114,8 +114,8 @@ def read_hand(path: str | Path) -> HandFile:
 
 def hand_of(fingers: Mapping[str, int] | Sequence[int], plan: HandPlan) -> HandFile:
     """Return a hand without a file: node-ids, or node-ids by name. Raises InputError as ``check_hand``."""
-    named = fingers if isinstance(fingers, Mapping) else {f"finger {node_id}": node_id for node_id in fingers}
-    hand = HandFile(finger=tuple(FingerPlan(node_id=node_id, name=name) for name, node_id in named.items()), hand=plan)
+    named = fingers.items() if isinstance(fingers, Mapping) else [(f"finger {node_id}", node_id) for node_id in fingers]
+    hand = HandFile(finger=tuple(FingerPlan(node_id=node_id, name=name) for name, node_id in named), hand=plan)
     check_hand(hand)
     return hand
 

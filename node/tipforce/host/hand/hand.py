@@ -26,7 +26,7 @@ from canopen_device.core.codes import OPERATIONAL
 from tipforce.errors import EnvironmentLackError, InputError, RefusedError, TipforceError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.frames.frame_array import FRAME, FrameArray, frame_array
-from tipforce.host.hand.bring_up import HEALTH_MS, FingerReport, bring_up, side_by_side
+from tipforce.host.hand.bring_up import FingerReport, bring_up, side_by_side
 from tipforce.host.hand.events import BabbleWatch, Event, Supervisor, waited_s
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, hand_of, read_hand
 from tipforce.host.hand.link import Jitter, JitterFigures, Link, open_link, wanted_overflow
@@ -34,7 +34,7 @@ from tipforce.host.hand.recovery import LOST, Recovery, RecoveryQueue
 from tipforce.host.hand.rows import Collector, Delivery, HandRow, HandRows, rows_one_by_one
 from tipforce.host.hand.trust import COUNTER
 from tipforce.host.network.bus import Bus
-from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
+from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, HEALTH_MS, LoadMeter
 from tipforce.samples.record import RowContacts, Rows
 from tipforce.samples.rows import RowTally
 from tipforce.samples.sync_numbers import LARGEST
@@ -82,9 +82,10 @@ class Hand:
             file, lambda: self._link.connection, self._supervisor, self._collector, self._recovered
         )
         self._accepted: set[int] = set()  # fingers that may have another calibration than the file's
-        self._calibrations: list[Calibration | None] = [None] * len(self.node_ids)  # for the uncertainties of rows()
+        self.calibrations: list[Calibration | None] = [None] * len(self.node_ids)
+        """For the uncertainties, in the order of ``node_ids``; from ``calibration``, and from an accepted change on."""
         self._queue = RecoveryQueue(self._recovery.recover)
-        self._babbling = BabbleWatch(plan.sync_hz)
+        self._babbling = BabbleWatch(plan.sync_hz, 1000.0 / plan.heartbeat_ms)
         self._probe_s = self._heard_s = 0.0  # of the next LSS search; all frames up to then were read
         self._supervise_s = 0.0  # of the next look at what did not come
         self._nodes: set[int] | None = None  # all on the bus, by the bring-up
@@ -147,8 +148,8 @@ class Hand:
 
     def start(self) -> None:
         """Start to receive, to send SYNCs (unless sync_hz is 0), and to monitor."""
-        if self._thread is not None:
-            raise InputError("the hand is already started")
+        if self._thread is not None or self._stopped.is_set():
+            raise InputError("the hand is already started, or was stopped: open another")
         self._recovery.overflow = wanted_overflow(self._link, self.file, self._nodes)
         self._begin()
         self._thread = threading.Thread(target=self._run, name="hand", daemon=True)
@@ -163,10 +164,10 @@ class Hand:
     def rows(self, timeout_s: float | None = None) -> HandRows[HandRow]:
         """Return rows as they are completed, each with a Contact by name of finger; for ``for`` and ``async for``. They
         end when the hand stops, or after ``timeout_s`` without a row (None: never; not with ``async for``)."""
-        for place, finger in enumerate(self.file.finger):
-            self._calibrations[place] = self.calibration(finger)
+        for finger in self.file.finger:
+            self.calibration(finger)
         names = [finger.name for finger in self.file.finger]
-        made = RowContacts(self.node_ids, names, self._calibrations)
+        made = RowContacts(self.node_ids, names, self.calibrations)
         return self._delivery.rows(partial(rows_one_by_one, contacts=made), timeout_s)
 
     def calibration(self, finger: FingerPlan) -> Calibration | None:
@@ -175,6 +176,7 @@ class Hand:
         if calibration is None:
             with suppress(TipforceError):  # a finger that does not respond now
                 calibration = self._link.connection.finger(finger.node_id).calibration()
+        self.calibrations[self.node_ids.index(finger.node_id)] = calibration
         return calibration
 
     def blocks(self, timeout_s: float | None = None) -> HandRows[Rows]:
@@ -253,9 +255,8 @@ class Hand:
 
     def _recovered(self, event: Event) -> None:
         if event.kind == "accepted":  # before its values are shown
-            place = self.node_ids.index(event.node_id)
             self._accepted.add(event.node_id)
-            self._calibrations[place] = self.calibration(self.file.finger[place])
+            self.calibration(self.file.finger[self.node_ids.index(event.node_id)])
         self._delivery.event(event)
 
     def _each(self, act: Callable[[int], None]) -> None:

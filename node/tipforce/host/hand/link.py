@@ -53,8 +53,7 @@ class Link:
         """Return the received frames, FRAME (n,), SYNCs included. Raises EnvironmentLackError if the bus fails."""
         if self._socketcan is not None:
             return self._socketcan.receive(timeout_s)
-        if (exception := self.connection.notifier.exception) is not None:
-            raise EnvironmentLackError(f"the bus failed: {exception}")
+        self.connection.check_reception()
         return self._frames.take_some(time.monotonic() + timeout_s)
 
     def start_sync(self, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
@@ -116,6 +115,9 @@ def kernel_sync(bus: can.BusABC, period_s: float, data: Sequence[bytes]) -> Call
     return stop
 
 
+_LAST_SLEEP_S = 0.05  # stop() takes at most so long
+
+
 class ThreadSync:
     """Send SYNCs with ``data`` in turn from a thread at fixed times: a late one does not delay the following ones."""
 
@@ -141,7 +143,9 @@ class ThreadSync:
             due_s += self._period_s
             # More than half a period late: omitted, because two SYNCs close together leave no time for the first.
             due_s += max(int((time.monotonic() - due_s) / self._period_s + 0.5), 0) * self._period_s
-            # A wait on the event would wake later than a sleep; stop() takes at most a period.
+            if (long_s := due_s - time.monotonic() - _LAST_SLEEP_S) > 0.0 and self._stopped.wait(long_s):
+                return
+            # A wait on the event would wake later than a sleep.
             time.sleep(max(due_s - time.monotonic(), 0.0))
 
 

@@ -14,7 +14,7 @@ from tipforce.dictionary.service_texts import NMT_STATES
 from tipforce.errors import NoResponseError, RefusedError, TipforceError
 from tipforce.host.configuration.device_objects import Place
 from tipforce.host.hand import meaning
-from tipforce.host.hand.bring_up import FingerReport, assign, select, set_up, wanted_settings
+from tipforce.host.hand.bring_up import SIDE_BY_SIDE, FingerReport, assign, select, set_up, wanted_settings
 from tipforce.host.hand.events import Event, Kind, Supervisor
 from tipforce.host.hand.file import HandFile
 from tipforce.host.hand.rows import Collector
@@ -28,7 +28,6 @@ LOST = 0
 """Node-id that represents all nodes without one."""
 
 RETRY_S = 0.5
-_SIDE_BY_SIDE = 8
 
 
 class Recovery:
@@ -235,7 +234,7 @@ class RecoveryQueue:
 
     def __init__(self, recover: Callable[[int], bool]) -> None:
         self._recover = recover
-        self._pool = ThreadPoolExecutor(_SIDE_BY_SIDE, thread_name_prefix="recovery")
+        self._pool = ThreadPoolExecutor(SIDE_BY_SIDE, thread_name_prefix="recovery")
         self._lock = threading.Lock()
         self._busy: set[int] = set()
         self._due_s: dict[int, float] = {}

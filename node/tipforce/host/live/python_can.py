@@ -6,7 +6,7 @@ import can
 import numpy as np
 
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG
-from tipforce.errors import EnvironmentLackError
+from canopen_device.errors import EnvironmentLackError, cause
 from tipforce.host.frames.frame_block import BIT_RATE_SWITCH, ERROR_STATE, CandumpBlock, gathered, packed
 from tipforce.host.live.receiver import Receiver, Selection, ShortSwitchInterval
 
@@ -40,7 +40,7 @@ class PythonCanReceiver(Receiver):
                 message = self._bus.recv(0) if len(messages) < BURST else None
         except (can.CanError, OSError) as error:
             if not messages:  # otherwise the next call raises it
-                text = f"the bus failed: {error}; `ip -details link` shows its state"
+                text = f"the bus failed: {cause(error)}; `ip -details link` shows its state"
                 raise EnvironmentLackError(text) from error
         block = message_block(messages, self._names, self._channel)
         if self._selection.everything and not any(message.is_error_frame for message in messages):

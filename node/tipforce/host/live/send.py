@@ -87,7 +87,7 @@ class PythonCanSender:
 
         try:
             self._bus.send(message(0, can_id, length, data, "", False, fd_flags))
-        except (can.CanError, ValueError) as error:
+        except (can.CanError, OSError, ValueError) as error:
             if fd_flags is not None:
                 raise NotCarriedError(f"{self._name} carries no CAN FD frames (try --fd): {error}") from None
             raise EnvironmentLackError(f"{self._name}: a frame was not sent: {error}") from error

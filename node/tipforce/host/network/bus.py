@@ -15,6 +15,7 @@ import can
 
 from canopen_device.can_frame import raw_can_id
 from canopen_device.core import codes
+from canopen_device.errors import cause
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
 from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
@@ -118,6 +119,8 @@ class Dispatcher(can.Listener):
             raise RuntimeError("Not connected to CAN bus")
         with self._lock:
             self.bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+        if can_id & codes.FUNCTION_MASK == codes.SDO_REQUEST_BASE:
+            self.notify(can_id, bytearray(data), 0.0)
         if self.notifier is not None and self.notifier.exception is not None:
             raise self.notifier.exception
 
@@ -248,15 +251,21 @@ class Bus:
 
     def _on_sync(self, _can_id: int, _data: bytearray, _t_s: float) -> None:
         now_s = time.monotonic()
-        self._foreign_sync_s = now_s, min(now_s - self._foreign_sync_s[0], _LONGEST_SYNC_PERIOD_S)
+        period_s = now_s - self._foreign_sync_s[0]  # a long one is none: each was sent for one reading
+        self._foreign_sync_s = now_s, period_s if period_s <= _LONGEST_SYNC_PERIOD_S else 0.0
 
     def send(self, can_id: int, data: bytes) -> None:
         """Send one frame with an 11-bit identifier. Raises EnvironmentLackError if the bus refuses it."""
         self.duplicates.frame(can_id, data, time.time_ns())
         try:
             self.dispatcher.send_message(can_id, data)
-        except (can.CanError, RuntimeError) as error:
-            raise EnvironmentLackError(f"frame 0x{can_id:03X}: the bus refused it: {error}") from None
+        except (can.CanError, OSError, RuntimeError) as error:
+            raise EnvironmentLackError(f"frame 0x{can_id:03X}: the bus refused it: {cause(error)}") from None
+
+    def check_reception(self) -> None:
+        """Raise EnvironmentLackError if the bus failed: frames may be lost."""
+        if (exception := self.notifier.exception) is not None:
+            raise EnvironmentLackError(f"the bus failed: {cause(exception)}")
 
     def check_duplicates(self, node_ids: Iterable[int] = ()) -> None:
         """Raise DuplicateNodeError if two nodes use one of ``node_ids``, or one with which SDO was spoken. Waits for

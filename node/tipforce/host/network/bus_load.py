@@ -16,6 +16,8 @@ from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 
 DEFAULT_BIT_RATE = 1_000_000
+HEALTH_MS = 300
+"""Event timer of the health PDO in a hand: 2126h comes at least so often."""
 LIMIT = 0.8
 """Share of the bit rate with worst-case stuffing: above it the lowest priority may miss a SYNC period."""
 
@@ -54,7 +56,7 @@ def hand_budget(
     heartbeat_s: float = 1.0,
 ) -> Budget:  # fmt: skip
     """Return the bus load of ``nodes`` fingers whose ``pdos`` (names of ``tpdo_messages``) answer ``sync_hz`` SYNCs/s.
-    Health is sent by its event timer, once a second. ``heartbeat_s`` 0 means none. Raises InputError."""
+    Health is sent by its event timer. ``heartbeat_s`` 0 means none. Raises InputError."""
     if not (1 <= nodes <= 127 and sync_hz > 0 and bit_rate > 0 and heartbeat_s >= 0):
         raise InputError(
             f"{nodes} nodes, {sync_hz:g} Hz, {bit_rate} bit/s, heartbeat {heartbeat_s:g} s: allowed are "
@@ -66,17 +68,18 @@ def hand_budget(
         raise InputError(f"PDO {', '.join(unknown) or 'none'}: allowed are {', '.join(lengths)}")
     traffic = [Traffic("SYNC", sync_hz, 0)]
     for name in dict.fromkeys(pdos):
-        traffic.append(Traffic(name, nodes * (1.0 if name == "Health" else sync_hz), lengths[name]))
+        traffic.append(Traffic(name, nodes * (1e3 / HEALTH_MS if name == "Health" else sync_hz), lengths[name]))
     if heartbeat_s:
         traffic.append(Traffic("heartbeat", nodes / heartbeat_s, 1))
     return Budget(tuple(traffic), bit_rate)
 
 
 def highest_rate_hz(
-    nodes: int, pdos: Sequence[str], gauges: int = 3, bit_rate: int = DEFAULT_BIT_RATE, limit: float = LIMIT
-) -> float:
+    nodes: int, pdos: Sequence[str], gauges: int = 3, bit_rate: int = DEFAULT_BIT_RATE, heartbeat_s: float = 1.0,
+    limit: float = LIMIT,
+) -> float:  # fmt: skip
     """Return the SYNC rate at which the worst case reaches ``limit``; 0 if the other traffic alone exceeds it."""
-    at_one, at_two = (hand_budget(nodes, hz, pdos, gauges, bit_rate).most_load for hz in (1.0, 2.0))
+    at_one, at_two = (hand_budget(nodes, hz, pdos, gauges, bit_rate, heartbeat_s).most_load for hz in (1.0, 2.0))
     each = at_two - at_one
     return max(0.0, (limit - (at_one - each)) / each)
 
@@ -152,12 +155,16 @@ def budget_lines(budget: Budget) -> list[str]:
     return lines
 
 
-def what_fits(nodes: int, rate_hz: float, pdos: list[str], gauges: int, bit_rate: int, limit: float) -> list[str]:
-    """Return lines with the rate and the number of nodes that fit, for all PDOs requested and for each of them."""
+def what_fits(
+    nodes: int, rate_hz: float, pdos: Sequence[str], gauges: int, bit_rate: int, heartbeat_s: float
+) -> list[str]:
+    """Return lines with the rate and the number of nodes that fit under LIMIT, for all PDOs and for each of them, with
+    Health."""
     lines = []
     for choice in (pdos, *([name] for name in pdos if len(pdos) > 1)):
-        rate = highest_rate_hz(nodes, choice, gauges, bit_rate, limit)
-        most = sum(hand_budget(n, rate_hz, choice, gauges, bit_rate).most_load <= limit for n in range(1, 128))
+        sent = (*choice, "Health"), gauges, bit_rate, heartbeat_s
+        rate = highest_rate_hz(nodes, *sent)
+        most = sum(hand_budget(n, rate_hz, *sent).most_load <= LIMIT for n in range(1, 128))
         names = " + ".join(name.lower() for name in choice)
         lines.append(f"  {names:24} {nodes} nodes up to {rate:.0f} Hz; at {rate_hz:g} Hz up to {most} nodes")
     return lines

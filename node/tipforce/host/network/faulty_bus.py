@@ -146,10 +146,6 @@ class FaultyBus(Injector, can.BusABC):
         super().shutdown()
         self.bus.shutdown()
 
-    def fileno(self) -> int:
-        """Raise NotImplementedError: a delayed frame would not wake a caller that waits on a file descriptor."""
-        raise NotImplementedError("a faulty bus has no file descriptor: use recv with a timeout")
-
 
 class Babbler:
     """A babbling node: ``step``, called from your own loop, sends ``frame`` at ``rate_hz`` from ``next_due_s`` on."""

@@ -61,7 +61,8 @@ def find_nodes(
     observe: Callable[[FrameArray], object] = lambda _frames: None,
 ) -> list[FoundNode]:  # fmt: skip
     """Request 1000h of every node-id, listen for ``wait_s`` or until all respond and beat, then identify the nodes; one
-    that only beats (STOPPED) is listed. ``observe`` gets the frames. Raises InputError outside 1..127."""
+    that only beats (STOPPED) is listed. ``observe`` gets the frames. Raises InputError outside 1..127, and
+    EnvironmentLackError for a bus that failed."""
     wanted = set(node_ids)
     if not wanted <= set(range(1, 128)):
         raise InputError(f"node-ids {sorted(wanted)}: allowed are 1 to 127")
@@ -80,6 +81,7 @@ def find_nodes(
             elif can_id - codes.HEARTBEAT_BASE in wanted:
                 states[can_id - codes.HEARTBEAT_BASE] = first & 0x7F
         ended = left_s <= _STEP_S or wanted <= answered & states.keys()
+    connection.check_reception()
     return [_describe(connection, n, states.get(n), n in answered) for n in sorted(answered | set(states))]
 
 

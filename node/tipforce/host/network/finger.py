@@ -84,7 +84,6 @@ class Finger:
     def __init__(self, connection: Bus, node_id: int, *, passive: bool = False, default_gauges: int = 3) -> None:
         self.node_id, self.sdo = node_id, connection.sdo(node_id)
         self._connection, self._passive, self._default_gauges = connection, passive, default_gauges
-        self._calibrations: dict[int, Calibration | None] = {}  # of the samples that are joined from now on
         self._lock = threading.Lock()
         self._reader: ContactReader | None = None
         self._started_s = -math.inf
@@ -94,7 +93,9 @@ class Finger:
         ``timeout_s``, as ``SdoChannel``, and InputError without a PDO of contact, force or all gauges."""
         checked_time("timeout_s", timeout_s)
         period_s = None if self._passive or not timeout_s else 1.0 / DEFAULT_RATE_HZ
-        return self._opened().newest(time.monotonic() + timeout_s, period_s)
+        while (contact := self._opened().newest(time.monotonic() + timeout_s, period_s)) is None:
+            pass
+        return contact
 
     def samples(self, timeout_s: float = 1.0, rate_hz: float = DEFAULT_RATE_HZ) -> ContactStream:
         """Yield each new sample as it arrives, for ``for`` and ``async for``. If no node sends SYNCs, they are sent at
@@ -104,7 +105,7 @@ class Finger:
         checked_time("timeout_s", timeout_s)
         if not 0.0 < rate_hz <= HIGHEST_RATE_HZ:
             raise InputError(f"rate_hz = {rate_hz!r}: allowed is above 0, up to {HIGHEST_RATE_HZ:g}")
-        return ContactStream(self._opened(), timeout_s, None if self._passive else 1.0 / rate_hz)
+        return ContactStream(self._opened, timeout_s, None if self._passive else 1.0 / rate_hz)
 
     def close(self) -> None:
         """Stop receiving its PDOs. ``Bus.close`` also does it."""
@@ -117,10 +118,13 @@ class Finger:
         from tipforce.host.network.finger_samples import ContactReader
 
         with self._lock:
+            if self._reader is not None and self._reader.outdated:
+                self._reader.close()
+                self._reader, self._started_s = None, -math.inf
             if self._reader is None:
-                self._calibrations[self.node_id] = None if self._passive else self.calibration()
+                calibrations = {self.node_id: None if self._passive else self.calibration()}
                 bus, gauges = self._connection, self._default_gauges
-                self._reader = ContactReader(bus, self.node_id, self._calibrations, self._passive, gauges)
+                self._reader = ContactReader(bus, self.node_id, calibrations, self._passive, gauges)
             state, now_s = self._connection.heartbeats.state(self.node_id), time.monotonic()
             to_start = not self._passive and state not in (codes.OPERATIONAL, codes.STOPPED)
             if to_start and now_s - self._started_s > _START_AGAIN_S:
@@ -168,7 +172,6 @@ class Finger:
         self._write_refusable(od.CALIBRATION_EXPECTED_CRC, crc)
         on_step(f"staged {len(record)} bytes, CRC-32 0x{crc:08X}")
         self._write_refusable(od.CALIBRATION_COMMIT, table.SIGNATURE_COMMIT)
-        self._calibrations[self.node_id] = Calibration.from_record(record)
         generation = self.sdo.read(od.CALIBRATION_GENERATION)
         on_step(f"committed, generation {generation}")
         if lines := self.verify_calibration(calibration):

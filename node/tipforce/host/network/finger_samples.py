@@ -7,11 +7,11 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from canopen_device.core import codes
+from canopen_device.core import codes, communication
 from tipforce.dictionary import objects
 from tipforce.dictionary.signals import Message, tpdo_messages
 from tipforce.errors import DuplicateNodeError, InputError, NoNewSampleError, SdoAbortError
@@ -30,12 +30,15 @@ _LISTEN_S = 0.12  # wait for another producer's SYNC before the first own one
 _FRESH_S = 0.1  # an older unread sample is stale, unless the SYNC period is longer
 _MOST_WAITING = 10_000
 _STEP_S = 0.2  # the longest wait for a frame: the delay until a close() is noticed
+_CHANGED_S = 0.25  # from the last write of another master to the reading: a node has one SDO server
+_DOWNLOAD = 1  # client command specifier
 _SETS = (("P", "phi", "theta"), ("F1", "F2", "F3"))
 
 
 class ContactReader:
     """Convert each new sample of a finger to a Contact, with ``calibrations``, by node-id. Its PDOs are read over SDO;
-    ``passive``: the default ones of ``gauges`` gauges, and nothing is sent. Raises as ``Finger.read``."""
+    ``passive``: the default ones of ``gauges`` gauges, and nothing is sent. Raises as ``Finger.read``. ``outdated``
+    after the node booted, or a master wrote its PDOs or its calibration."""
 
     def __init__(
         self, connection: Bus, node_id: int, calibrations: Mapping[int, Calibration | None], passive: bool, gauges: int
@@ -59,19 +62,26 @@ class ContactReader:
         self._joined: deque[Contact] = deque()
         self._received = self._repeated = False
         self._last: Contact | None = None
-        self._since_s = time.monotonic()
-        for can_id in (*self._assembler.pdos, *self._assembler.services):
+        self._since_s, self._changed_s = time.monotonic(), math.inf
+        self._can_ids = (*pdos, *self._assembler.services, codes.SDO_REQUEST_BASE + node_id)
+        for can_id in self._can_ids:
             connection.dispatcher.subscribe(can_id, self._on_frame)
 
     def close(self) -> None:
         """Stop receiving."""
-        for can_id in (*self._assembler.pdos, *self._assembler.services):
+        for can_id in self._can_ids:
             self._connection.dispatcher.unsubscribe(can_id, self._on_frame)
 
-    def next(self, deadline_s: float, period_s: float | None) -> Contact:
-        """Return the next new sample. ``period_s``: of own SYNCs if no other node sends them; None: send none. Raises
-        NoNewSampleError at ``deadline_s`` (monotonic), with the reason; DuplicateNodeError if two nodes answer."""
-        while True:
+    @property
+    def outdated(self) -> bool:
+        """True if another reader is needed."""
+        return time.monotonic() > self._changed_s + _CHANGED_S
+
+    def next(self, deadline_s: float, period_s: float | None) -> Contact | None:
+        """Return the next new sample; None if ``outdated``. ``period_s``: of own SYNCs if no other node sends them
+        (None: send none). Raises NoNewSampleError at ``deadline_s`` (monotonic), with the reason; DuplicateNodeError if
+        two nodes answer."""
+        while not self.outdated:
             duplicate = self._connection.duplicates.found.get(self._node_id)
             if duplicate is not None:
                 if not self._passive:
@@ -92,8 +102,9 @@ class ContactReader:
             with self._arrived:
                 if not self._waiting:
                     self._arrived.wait(min(deadline_s, due_s, now_s + _STEP_S) - now_s)
+        return None
 
-    def newest(self, deadline_s: float, period_s: float | None) -> Contact:
+    def newest(self, deadline_s: float, period_s: float | None) -> Contact | None:
         """Return the newest sample that was not returned yet, if it is fresh; else the next one. Raises as ``next``."""
         newest = None
         while (contact := self._take()) is not None:
@@ -106,6 +117,11 @@ class ContactReader:
         frame = int(1e9 * (t_s or time.time())), can_id, bytes(data[:8])
         if can_id in self._assembler.services:  # at once: samples that wait too long are dropped
             self._assembler.service(can_id, frame[0], frame[2])
+        if can_id not in self._assembler.pdos:
+            if not self._passive and _changes(can_id, data):  # another master may still write, or read back
+                self._changed_s = time.monotonic() if t_s and can_id < codes.HEARTBEAT_BASE else -math.inf
+            return
+        if self._changed_s < math.inf:  # perhaps not what it was
             return
         with self._arrived:
             self._waiting.append(frame)
@@ -139,6 +155,8 @@ class ContactReader:
     def _why(self) -> str:
         if self._repeated and self._last is not None and Status.STALE in self._last.status:
             return f": it repeats sample {self._last.counter}: its converter has no new one"
+        if self._changed_s < math.inf:
+            return ": it booted, or its PDOs or its calibration are written now"
         if self._received:
             return ""
         state = self._connection.heartbeats.state(self._node_id)
@@ -149,15 +167,26 @@ class ContactReader:
         return f": no frame with identifier {identifiers}; check that it receives a SYNC"
 
 
+def _changes(can_id: int, data: bytearray) -> bool:
+    """Return whether a node boots, or its PDOs or its calibration are written."""
+    if can_id < codes.SDO_REQUEST_BASE or len(data) != 8:
+        return can_id >= codes.HEARTBEAT_BASE and data == b"\0"
+    index = int.from_bytes(data[1:3], "little")
+    is_pdo = communication.TPDO <= index <= communication.LAST_TPDO_MAPPING
+    return data[0] >> 5 == _DOWNLOAD and (is_pdo or index == objects.CALIBRATION_COMMIT.index)
+
+
 class ContactStream(Iterator[Contact], AsyncIterator[Contact]):
     """New samples of one finger in order: for ``for`` and for ``async for``. Only an error ends the iteration."""
 
-    def __init__(self, reader: ContactReader, timeout_s: float, period_s: float | None) -> None:
-        self._reader, self._timeout_s, self._period_s = reader, timeout_s, period_s
+    def __init__(self, opened: Callable[[], ContactReader], timeout_s: float, period_s: float | None) -> None:
+        self._opened, self._reader, self._timeout_s, self._period_s = opened, opened(), timeout_s, period_s
 
     def __next__(self) -> Contact:
         """Return the next sample. Raises NoNewSampleError if none arrives in time."""
-        return self._reader.next(time.monotonic() + self._timeout_s, self._period_s)
+        while (contact := self._reader.next(time.monotonic() + self._timeout_s, self._period_s)) is None:
+            self._reader = self._opened()
+        return contact
 
     async def __anext__(self) -> Contact:
         """Return the next sample; the event loop runs meanwhile."""
