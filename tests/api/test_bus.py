@@ -7,6 +7,7 @@ import math
 import threading
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import can
@@ -91,6 +92,17 @@ def test_a_finger_that_another_master_remaps_and_that_boots_is_read_anew(
         noisy = dataclasses.replace(calibration, covariance_strain2=1e4 * calibration.covariance_strain2)
         other.finger(5).apply_calibration(noisy, store=False)
         assert next(stream).u_P_newtons == pytest.approx(100.0 * u_newtons, rel=0.1)
+
+
+def test_boot_ups_without_end_are_an_error_in_time(bus: tipforce.SimulatedBus) -> None:
+    with (
+        tipforce.open(**bus.bus_options) as opened,
+        sending(bus.bus_options["channel"], lambda _number: [message(0x705, b"\0")], 0.001),
+    ):
+        stream = opened.finger(5).samples(timeout_s=0.3)
+        for reading in (partial(opened.finger(5).read, 0.3), partial(next, stream)):
+            with pytest.raises(tipforce.NoNewSampleError, match="finger 5: no new sample"):
+                _ = [reading() for _ in range(1000)]
 
 
 def test_samples_follow_the_load(bus: tipforce.SimulatedBus) -> None:

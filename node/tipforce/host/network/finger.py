@@ -93,7 +93,8 @@ class Finger:
         ``timeout_s``, as ``SdoChannel``, and InputError without a PDO of contact, force or all gauges."""
         checked_time("timeout_s", timeout_s)
         period_s = None if self._passive or not timeout_s else 1.0 / DEFAULT_RATE_HZ
-        while (contact := self._opened().newest(time.monotonic() + timeout_s, period_s)) is None:
+        deadline_s = time.monotonic() + timeout_s
+        while (contact := self._opened().newest(deadline_s, period_s)) is None:
             pass
         return contact
 

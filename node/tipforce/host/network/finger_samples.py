@@ -81,7 +81,7 @@ class ContactReader:
         """Return the next new sample; None if ``outdated``. ``period_s``: of own SYNCs if no other node sends them
         (None: send none). Raises NoNewSampleError at ``deadline_s`` (monotonic), with the reason; DuplicateNodeError if
         two nodes answer."""
-        while not self.outdated:
+        while not self.outdated or time.monotonic() >= deadline_s:
             duplicate = self._connection.duplicates.found.get(self._node_id)
             if duplicate is not None:
                 if not self._passive:
@@ -184,7 +184,8 @@ class ContactStream(Iterator[Contact], AsyncIterator[Contact]):
 
     def __next__(self) -> Contact:
         """Return the next sample. Raises NoNewSampleError if none arrives in time."""
-        while (contact := self._reader.next(time.monotonic() + self._timeout_s, self._period_s)) is None:
+        deadline_s = time.monotonic() + self._timeout_s
+        while (contact := self._reader.next(deadline_s, self._period_s)) is None:
             self._reader = self._opened()
         return contact
 
