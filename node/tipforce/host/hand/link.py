@@ -31,6 +31,7 @@ SERVICE_FILTERS = (
 )
 """Frames for a connection beside a receiver: SDO responses, heartbeats, LSS. PDOs would cost 15 us each twice."""
 
+_LAST_SLEEP_S = 0.05  # stop() of a SYNC takes at most so long
 KEPT_FRAMES = 20_000  # in the connection's buffer: a hand runs for days, and only the search for nodes reads it
 
 
@@ -115,9 +116,6 @@ def kernel_sync(bus: can.BusABC, period_s: float, data: Sequence[bytes]) -> Call
     return stop
 
 
-_LAST_SLEEP_S = 0.05  # stop() takes at most so long
-
-
 class ThreadSync:
     """Send SYNCs with ``data`` in turn from a thread at fixed times: a late one does not delay the following ones."""
 
@@ -143,7 +141,7 @@ class ThreadSync:
             due_s += self._period_s
             # More than half a period late: omitted, because two SYNCs close together leave no time for the first.
             due_s += max(int((time.monotonic() - due_s) / self._period_s + 0.5), 0) * self._period_s
-            if (long_s := due_s - time.monotonic() - _LAST_SLEEP_S) > 0.0 and self._stopped.wait(long_s):
+            if self._stopped.wait(max(due_s - time.monotonic() - _LAST_SLEEP_S, 0.0)):
                 return
             # A wait on the event would wake later than a sleep.
             time.sleep(max(due_s - time.monotonic(), 0.0))

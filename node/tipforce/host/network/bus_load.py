@@ -158,8 +158,7 @@ def budget_lines(budget: Budget) -> list[str]:
 def what_fits(
     nodes: int, rate_hz: float, pdos: Sequence[str], gauges: int, bit_rate: int, heartbeat_s: float
 ) -> list[str]:
-    """Return lines with the rate and the number of nodes that fit under LIMIT, for all PDOs and for each of them, with
-    Health."""
+    """Return lines with the rate and the number of nodes that fit under LIMIT, for all PDOs and for each of them."""
     lines = []
     for choice in (pdos, *([name] for name in pdos if len(pdos) > 1)):
         sent = (*choice, "Health"), gauges, bit_rate, heartbeat_s

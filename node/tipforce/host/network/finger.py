@@ -119,7 +119,7 @@ class Finger:
         from tipforce.host.network.finger_samples import ContactReader
 
         with self._lock:
-            if self._reader is not None and self._reader.outdated:
+            if self._reader is not None and time.monotonic() >= self._reader.end_s:
                 self._reader.close()
                 self._reader, self._started_s = None, -math.inf
             if self._reader is None:

@@ -37,8 +37,8 @@ _SETS = (("P", "phi", "theta"), ("F1", "F2", "F3"))
 
 class ContactReader:
     """Convert each new sample of a finger to a Contact, with ``calibrations``, by node-id. Its PDOs are read over SDO;
-    ``passive``: the default ones of ``gauges`` gauges, and nothing is sent. Raises as ``Finger.read``. ``outdated``
-    after the node booted, or a master wrote its PDOs or its calibration."""
+    ``passive``: the default ones of ``gauges`` gauges, and nothing is sent. Raises as ``Finger.read``. It is not
+    valid after ``end_s`` (monotonic): the node booted, or a master wrote its PDOs or its calibration."""
 
     def __init__(
         self, connection: Bus, node_id: int, calibrations: Mapping[int, Calibration | None], passive: bool, gauges: int
@@ -62,7 +62,7 @@ class ContactReader:
         self._joined: deque[Contact] = deque()
         self._received = self._repeated = False
         self._last: Contact | None = None
-        self._since_s, self._changed_s = time.monotonic(), math.inf
+        self._since_s, self.end_s = time.monotonic(), math.inf
         self._can_ids = (*pdos, *self._assembler.services, codes.SDO_REQUEST_BASE + node_id)
         for can_id in self._can_ids:
             connection.dispatcher.subscribe(can_id, self._on_frame)
@@ -72,16 +72,11 @@ class ContactReader:
         for can_id in self._can_ids:
             self._connection.dispatcher.unsubscribe(can_id, self._on_frame)
 
-    @property
-    def outdated(self) -> bool:
-        """True if another reader is needed."""
-        return time.monotonic() > self._changed_s + _CHANGED_S
-
     def next(self, deadline_s: float, period_s: float | None) -> Contact | None:
-        """Return the next new sample; None if ``outdated``. ``period_s``: of own SYNCs if no other node sends them
+        """Return the next new sample; None after ``end_s``. ``period_s``: of own SYNCs if no other node sends them
         (None: send none). Raises NoNewSampleError at ``deadline_s`` (monotonic), with the reason; DuplicateNodeError if
         two nodes answer."""
-        while not self.outdated or time.monotonic() >= deadline_s:
+        while not self.end_s <= time.monotonic() < deadline_s:
             duplicate = self._connection.duplicates.found.get(self._node_id)
             if duplicate is not None:
                 if not self._passive:
@@ -119,9 +114,9 @@ class ContactReader:
             self._assembler.service(can_id, frame[0], frame[2])
         if can_id not in self._assembler.pdos:
             if not self._passive and _changes(can_id, data):  # another master may still write, or read back
-                self._changed_s = time.monotonic() if t_s and can_id < codes.HEARTBEAT_BASE else -math.inf
+                self.end_s = time.monotonic() + _CHANGED_S if t_s and can_id < codes.HEARTBEAT_BASE else 0.0
             return
-        if self._changed_s < math.inf:  # perhaps not what it was
+        if self.end_s < math.inf:  # perhaps not what it was
             return
         with self._arrived:
             self._waiting.append(frame)
@@ -155,7 +150,7 @@ class ContactReader:
     def _why(self) -> str:
         if self._repeated and self._last is not None and Status.STALE in self._last.status:
             return f": it repeats sample {self._last.counter}: its converter has no new one"
-        if self._changed_s < math.inf:
+        if self.end_s < math.inf:
             return ": it booted, or its PDOs or its calibration are written now"
         if self._received:
             return ""
