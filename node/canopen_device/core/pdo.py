@@ -22,20 +22,21 @@ class Pdo:
     """One PDO, its contents compiled for speed. ``direction``: flag of mapped objects; ``changed()``: after an accepted
     write; ``valid``: bit 31 of the COB-ID; ``active``: with a mapping; ``widths``: bits if not whole values."""
 
-    direction = TPDO
-
-    def __init__(self, od: "ObjectDictionary", index: int, changed: "Callable[[], None]") -> None:
+    def __init__(
+        self, od: "ObjectDictionary", communication: int, mapping: int, direction: int, changed: "Callable[[], None]"
+    ) -> None:
         self._od = od
         self._changed = changed
-        self.communication = index
-        self.mapping = index + communication.MAPPING
+        self.communication = communication
+        self.mapping = mapping
+        self.direction = direction
         self.valid = self.active = False
         self.can_id, self.transmission, self.length = 0, 255, 0
         self.letters: "list[str]" = []
         self.widths: "list[int] | None" = None
         self.keys: "list[tuple[int, int]]" = []
-        od.writers[index] = self._write_communication
-        od.writers[self.mapping] = self._write_mapping
+        od.writers[communication] = self._write_communication
+        od.writers[mapping] = self._write_mapping
 
     def load(self) -> None:
         """Compile the present parameter objects; a PDO with an invalid mapping stays inactive."""
@@ -130,8 +131,6 @@ class Pdo:
 class ReceivePdo(Pdo):
     """One RPDO; ``waiting`` holds the data of a synchronous one until the SYNC, ``deadline_us`` is the next one's."""
 
-    direction = RPDO
-
     def load(self) -> None:
         """Compile the parameters and discard data that waits for a SYNC."""
         Pdo.load(self)
@@ -150,7 +149,7 @@ class ReceivePdos(Timed):
         super().__init__(device)
         self.is_waiting = False  # data of one of them, for the next SYNC
         self._pdos = [
-            ReceivePdo(device.od, index, self._changed)
+            ReceivePdo(device.od, index, index + communication.MAPPING, RPDO, self._changed)
             for index in device.od.indices(communication.RPDO, communication.LAST_RPDO)
         ]
 
@@ -290,7 +289,7 @@ class TransmitPdos(Timed):
     def __init__(self, device: "Device") -> None:
         super().__init__(device)
         self._pdos = [
-            TransmitPdo(device.od, index, self._changed)
+            TransmitPdo(device.od, index, index + communication.MAPPING, TPDO, self._changed)
             for index in device.od.indices(communication.TPDO, communication.LAST_TPDO)
         ]
         self._synchronous: "list[TransmitPdo]" = []
