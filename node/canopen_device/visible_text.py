@@ -19,5 +19,10 @@ def visible(text: str) -> str:
     return text if text.isprintable() else re.sub(f"[\t\n{_HIDDEN}]", _escape, text)
 
 
+def shortened(text: str, most: int = 80) -> str:
+    """Return the start of a text as a message shows it: ``most`` characters, and dots for the rest."""
+    return text if len(text) <= most else f"{text[:most]}..."
+
+
 def _escape(character: re.Match[str]) -> str:
     return character[0].encode("unicode_escape").decode()

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from canopen_device.visible_text import shortened
 from tipforce.errors import InputError
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
-_SHOWN = 80  # characters of a value in a message
 
 
 def occurring(small: npt.NDArray[np.unsignedinteger[Any]]) -> list[int]:
@@ -37,6 +37,4 @@ def floats(name: str, values: npt.ArrayLike) -> FloatArray:
             raise InputError(f"{name}: {count} masked entries: allowed are numbers, NaN for unknown")
         return np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
-        shown = " ".join(repr(values).split())
-        shown = shown if len(shown) <= _SHOWN else shown[:_SHOWN] + "..."
-        raise InputError(f"{name}: {shown} is no array of numbers") from None
+        raise InputError(f"{name}: {shortened(' '.join(repr(values).split()))} is no array of numbers") from None

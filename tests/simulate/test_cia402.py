@@ -64,8 +64,7 @@ def test_transitions(words: tuple[int, ...], state: int) -> None:
 @pytest.mark.parametrize("step_us", [2000, 7000, 45_000, 130_000])  # a busy machine is late
 def test_a_profile_move_is_a_trapezoid_that_ends_on_its_target(step_us: int) -> None:
     axis = Axis()
-    axis.enable(1)
-    axis.store(0x607A, 5000)
+    axis.enable(1, (0x607A, 5000))
     axis.control(0x1F)
     assert (axis.bit(10), axis.bit(12)) == (0, 1)
     fastest, started_us = 0, axis.now_us
@@ -86,27 +85,25 @@ def test_a_profile_move_is_a_trapezoid_that_ends_on_its_target(step_us: int) -> 
     assert axis.simulated[0x6064] == 4800
 
 
-def test_a_second_set_point_waits_or_takes_over() -> None:
-    for word, first_end in ((0x1F, 1000), (0x3F, -1000)):
-        axis = Axis()
-        axis.enable(1)
-        axis.store(0x607A, 1000)
-        axis.control(0x1F, ENABLE)
-        axis.advance(20_000)
-        axis.store(0x607A, -1000)
-        axis.control(word, ENABLE)
-        highest = 0
-        for _ in range(400):
-            axis.advance(2000)
-            highest = max(highest, int(axis.simulated[0x6064]))
-        assert axis.simulated[0x6064] == -1000
-        assert (highest == 1000) is (first_end == 1000)
+@pytest.mark.parametrize(("word", "first_is_reached"), [(0x1F, True), (0x3F, False)])
+def test_a_second_set_point_waits_or_takes_over(word: int, first_is_reached: bool) -> None:
+    axis = Axis()
+    axis.enable(1, (0x607A, 1000))
+    axis.control(0x1F, ENABLE)
+    axis.advance(20_000)
+    axis.store(0x607A, -1000)
+    axis.control(word, ENABLE)
+    highest = 0
+    for _ in range(400):
+        axis.advance(2000)
+        highest = max(highest, int(axis.simulated[0x6064]))
+    assert axis.simulated[0x6064] == -1000
+    assert (highest == 1000) is first_is_reached
 
 
 def test_velocity_cyclic_modes_and_limits() -> None:
     axis = Axis()
-    axis.enable(3)
-    axis.store(0x60FF, -2000)
+    axis.enable(3, (0x60FF, -2000))
     axis.advance(10_000)
     assert -2000 < int(axis.simulated[0x606C]) < 0
     axis.advance(90_000)
@@ -145,8 +142,7 @@ def test_homing_by_a_move_ends_at_zero_with_the_offset() -> None:
 
 def test_a_fault_stops_the_drive_and_is_reset_by_a_rising_edge() -> None:
     axis = Axis()
-    axis.enable(3)
-    axis.store(0x60FF, 8000)
+    axis.enable(3, (0x60FF, 8000))
     axis.advance(200_000)
     axis.sent.clear()
     axis.drive.fail(0x2310)
@@ -164,15 +160,14 @@ def test_a_fault_stops_the_drive_and_is_reset_by_a_rising_edge() -> None:
     assert axis.control(0, RESET) == DISABLED
 
 
-def test_quick_stop_ends_disabled_or_stays() -> None:
-    for option, end in ((2, DISABLED), (6, QUICK)):
-        axis = Axis()
-        axis.enable(3, (0x605A, option))
-        axis.store(0x60FF, 8000)
-        axis.advance(200_000)
-        axis.control(QUICK_STOP)
-        axis.advance(100_000)
-        assert (axis.state, axis.simulated[0x606C]) == (end, 0)
+@pytest.mark.parametrize(("option", "end"), [(2, DISABLED), (6, QUICK)])
+def test_quick_stop_ends_disabled_or_stays(option: int, end: int) -> None:
+    axis = Axis()
+    axis.enable(3, (0x605A, option), (0x60FF, 8000))
+    axis.advance(200_000)
+    axis.control(QUICK_STOP)
+    axis.advance(100_000)
+    assert (axis.state, axis.simulated[0x606C]) == (end, 0)
 
 
 def test_a_file_that_is_no_drive_is_refused() -> None:

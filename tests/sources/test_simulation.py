@@ -107,10 +107,9 @@ def test_each_row_comes_once_and_in_time(steps: list[int], start_us: int, speed:
     times = [sum(steps[:k]) for k in range(len(steps) + 1)]
     source = replay([7_000_000 + time for time in times], speed=speed)
     for k, time in enumerate(times):
-        reading = source.read(start_us + -int(-time // speed))
-        assert reading is not None
-        assert reading.counts == (k, -k, 2 * k)
-        assert source.read(start_us + -int(-time // speed)) is None
+        now_us = start_us + -int(-time // speed)
+        assert source.read(now_us) == ((k, -k, 2 * k), 0, -0x8000)
+        assert source.read(now_us) is None
     assert source.over
     assert source.read(start_us + 10**9) is None
 

@@ -1,6 +1,7 @@
 """The extreme cases: each claim holds, each area can notice a fault, and the report's record is of these cases."""
 
 import re
+from binascii import crc32
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -99,7 +100,7 @@ def _clock_as_given(right: Any, device: Any, now_us: int, frames: Any = ()) -> A
 
 
 def _without_crc(right: Any, active: Any, value: Any) -> Any:
-    active._od.values[0x210301] = calibration.crc32(active.staged_record())
+    active._od.values[0x210301] = crc32(active.staged_record())
     return right(active, value)
 
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from canopen_device.core import communication
 from canopen_device.eds import values
 from canopen_device.errors import InputError
+from canopen_device.visible_text import shortened
 
 _OBJECT = re.compile(r"(?:0x)?([0-9a-f]{1,4})", re.IGNORECASE)
 _SUB = re.compile(r"(?:0x)?([0-9a-f]{1,4})\s*sub\s*(?:0x)?([0-9a-f]{1,2})", re.IGNORECASE)
@@ -22,7 +23,6 @@ LONGEST_TEXT = 1 << 16
 """Most characters of a name or a value; CiA 306-1 has lines of 255."""
 
 MOST_FINDINGS = 100_000
-_SHOWN_CHARACTERS = 80
 
 
 class Findings(list[tuple[int, str]]):
@@ -68,11 +68,6 @@ class Section:
         shown = f"{key} missing" if value is None else f"{self.written[key.lower()]}={shortened(value)}"
         self.findings.add(line, f"[{self.name}] {shown}: {what}")
         return f"{line}: [{self.name}] {shown}: {what}"
-
-
-def shortened(text: str) -> str:
-    """Return a text as a message shows it."""
-    return text if len(text) <= _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}..."
 
 
 @dataclass(slots=True)

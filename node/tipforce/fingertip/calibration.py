@@ -1,7 +1,7 @@
 """The calibration of a node (docs/objects.md): one staged record that SDO fills, one active that a commit replaces."""
 
-import binascii
 import struct
+from binascii import crc32
 
 from canopen_device.core import codes, communication
 from tipforce.dictionary import indices, table, table_objects
@@ -114,11 +114,6 @@ _STORED_TAIL = "<fI"  # condition limit 2105h:1, generation 2103h:4
 _HEALTH_MAPPING = communication.TPDO_MAPPING + 3  # of TPDO4
 _LOAD_SENSE = indices.CONTACT_SETTINGS << 8 | 6
 _CONDITION_LIMIT, _EXPECTED_CRC = indices.CALIBRATION_GUARD << 8 | 1, indices.CALIBRATION_CHECK << 8 | 1
-
-
-def crc32(data: bytes) -> int:
-    """CRC-32 (IEEE 802.3, as zlib computes it)."""
-    return binascii.crc32(data) & 0xFFFFFFFF
 
 
 def _is_covariance(full: "list[list[float]]") -> bool:

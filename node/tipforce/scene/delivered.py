@@ -62,12 +62,12 @@ def structure_calibration(
     from tipforce.sensor.structure.layouts import layout_code
     from tipforce.sensor.structure.strain import gauge_matrix, gauge_name, pseudo_inverse
 
-    n, points = len(gauges), [gauge for gauge in gauges if isinstance(gauge, str)]
+    n = len(gauges)
     return Calibration(
         C=pseudo_inverse(gauge_matrix(geometry, gauges), map(gauge_name, gauges)),
         offset_strain=1e-6 * np.array(offset_microstrain or [0.0] * n),
         covariance_strain2=1e-12 * (noise_microstrain**2 + count_microstrain**2 / 12.0) * np.eye(n),
-        layout_code=layout_code(points) if len(points) == n else table.CUSTOM_LAYOUT,
+        layout_code=layout_code(gauges),
         tip_radius_m=geometry.r_m,
         **stated,
     )

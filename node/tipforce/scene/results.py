@@ -6,6 +6,7 @@ import csv
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from io import TextIOBase
 from pathlib import Path
@@ -33,7 +34,7 @@ _P_CAUSES = {"fault": "fault", "stale": "stale", "saturated": "saturated", "unca
 _ANGLE_CAUSES = {"no_contact": "no contact", "misses_tip": "misses_tip", "theta_unresolved": "theta_unresolved"}
 
 
-class Recording:
+class Recording(AbstractContextManager["Recording"]):
     """Record frames in the order of their times. With ``log`` each is also written to that file. A context manager.
     Raises InputError for an unusable path of the log, WriteError when it cannot be written; then an old log stays."""
 
@@ -81,9 +82,6 @@ class Recording:
                 self._file.write("\n".join([*self._format.lines(block), ""]))
             except OSError as error:
                 raise self._log.failed(error) from error
-
-    def __enter__(self) -> Recording:
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         # Nothing received is lost.

@@ -30,36 +30,6 @@ LOG = """\
 (1795255003.875636) vcan0 123#
 """
 
-LOG_TWO_INTERFACES = """\
-(1795254996.104918) vcan0 285#2E1129239A110303
-(1795254997.205379) vcan0 181#0102
-(1795254997.225794) vcan0 080#
-(1795254998.326292) vcan0 181#R8
-(1795254998.346786) vcan0 182#R
-(1795255002.749962) vcan_long_name1 182#68656C6C6F
-(1795255002.771546)           vcan0 12345678#0001020304050607
-(1795255003.871947)           vcan0 00000123#FF
-(1795255003.873311)           vcan0 00000123#R3
-(1795255003.874477)           vcan0 7FF#41414141414141
-(1795255003.875636)           vcan0 123#
-(1795255003.896026) vcan_long_name1 183#68656C6C6F
-"""
-
-TWO_INTERFACES = """\
-  vcan0  285   [8]  2E 11 29 23 9A 11 03 03
-  vcan0  181   [2]  01 02
-  vcan0  080   [0]\x20
-  vcan0  181   [8]  remote request
-  vcan0  182   [0]  remote request
-  vcan_long_name1  182   [5]  68 65 6C 6C 6F
-            vcan0  12345678   [8]  00 01 02 03 04 05 06 07
-            vcan0  00000123   [1]  FF
-            vcan0  00000123   [3]  remote request
-            vcan0       7FF   [7]  41 41 41 41 41 41 41
-            vcan0       123   [0]\x20
-  vcan_long_name1       183   [5]  68 65 6C 6C 6F
-"""
-
 STAMPS = """\
 000.000000 000.000000 36.104918
 001.100461 001.100461 37.205379
@@ -122,23 +92,27 @@ FROM_ZERO, DELTAS, DATES = (
     )
 )
 
-ASCII = """\
-  vcan0  285   [8]  2E 11 29 23 9A 11 03 03   '..)#....'
-  vcan0  181   [2]  01 02                     '..'
-  vcan0  080   [0]                            ''
-  vcan0  181   [8]  remote request
-  vcan0  182   [0]  remote request
-  vcan0  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME
-  vcan0  200001FF   [8]  05 3F FF 19 34 00 60 80   ERRORFRAME
-  vcan0  20000040   [0]                            ERRORFRAME
-  vcan0  20000200   [8]  00 00 00 00 00 00 07 08   ERRORFRAME
-  vcan0  2000000C   [4]  00 40 00 00               ERRORFRAME
-  vcan0  12345678   [8]  00 01 02 03 04 05 06 07   '........'
-  vcan0  00000123   [1]  FF                        '.'
-  vcan0  00000123   [3]  remote request
-  vcan0       7FF   [7]  41 41 41 41 41 41 41      'AAAAAAA'
-  vcan0       123   [0]                            ''
-"""
+TEXTS = ("'..)#....'", "'..'", "''", *7 * [""], "'........'", "'.'", "", "'AAAAAAA'", "''")
+"""Behind each line, with -a."""
+ASCII = "".join(
+    f"{line:{line.index(']') + 29}}{text}".rstrip() + "\n" for line, text in zip(SCREEN, TEXTS, strict=True)
+)
+
+
+def two_interfaces(lines: list[str], first: str, last: str) -> str:
+    """The first and the last five lines, and two of an interface with a long name, which widens what follows it."""
+    widened = [line.replace("vcan0", f"{'vcan0':>15}", 1) for line in lines[-5:]]
+    return "\n".join((*lines[:5], first, *widened, last, ""))
+
+
+LOG_TWO_INTERFACES = two_interfaces(
+    LOG.splitlines(),
+    "(1795255002.749962) vcan_long_name1 182#68656C6C6F",
+    "(1795255003.896026) vcan_long_name1 183#68656C6C6F",
+)
+TWO_INTERFACES = two_interfaces(
+    SCREEN, "  vcan_long_name1  182   [5]  68 65 6C 6C 6F", "  vcan_long_name1       183   [5]  68 65 6C 6C 6F"
+)
 
 COLOUR = """\
   \x1b[1m\x1b[34mvcan0  285   [8]  2E 11 29 23 9A 11 03 03\x1b[0m

@@ -109,24 +109,25 @@ def test_frames_of_several_interfaces_stay_apart(tmp_path: Path) -> None:
         assert (np.concatenate(list(log))["channel"].tolist(), log.channels) == ([1, 0], ["can", "if1"])
 
 
+def counted(path: Path, content: bytes) -> tuple[int, dict[str, int], dict[str, int]]:
+    """The number of frames in a file with this content, and what was skipped and what was bad in it."""
+    path.write_bytes(content)
+    with open_log(path) as log:
+        return sum(len(frames) for frames in log), log.skipped, log.bad
+
+
 def test_what_is_no_classic_frame_is_counted(tmp_path: Path) -> None:
     path = tmp_path / "x.pcap"
     fd = socketcan(0x123, bytes(12), flags=4)
-    path.write_bytes(pcap([fd, socketcan(0x181, b"\x01"), b"short", socketcan(0x181, bytes(9))]))
-    with open_log(path) as log:
-        assert sum(len(frames) for frames in log) == 1
-    assert (log.skipped, log.bad) == ({"CAN FD frame": 1}, {"not CAN": 2})
+    content = pcap([fd, socketcan(0x181, b"\x01"), b"short", socketcan(0x181, bytes(9))])
+    assert counted(path, content) == (1, {"CAN FD frame": 1}, {"not CAN": 2})
     with open_log(path) as log:
         (frame,) = next(log.blocks()).fd
     assert (frame.row, frame.can_id, frame.flags, frame.data) == (0, 0x123, 0, bytes(12))
-    path.write_bytes(pcap([socketcan(0x285, bytes(8))[:12], socketcan(0x285, bytes(8))]))  # one cut by the snap length
-    with open_log(path) as log:
-        assert sum(len(frames) for frames in log) == 1
-    assert log.bad == {"not CAN": 1}
-    path.write_bytes(pcap([cooked(0x123, bytes(12), 0x000D), cooked(0x181, b"", 0x0800)], link=113))
-    with open_log(path) as log:
-        assert not list(log)
-    assert (log.skipped, log.bad) == ({"CAN FD frame": 1}, {"not CAN": 1})
+    content = pcap([socketcan(0x285, bytes(8))[:12], socketcan(0x285, bytes(8))])  # one cut by the snap length
+    assert counted(path, content) == (1, {}, {"not CAN": 1})
+    content = pcap([cooked(0x123, bytes(12), 0x000D), cooked(0x181, b"", 0x0800)], link=113)
+    assert counted(path, content) == (0, {"CAN FD frame": 1}, {"not CAN": 1})
     path.write_bytes(pcap([bytes(60)], link=1))
     with open_log(path, strict=True) as log, pytest.raises(InputError, match=r"not a CAN frame \(link type 1\)"):
         list(log)
@@ -135,10 +136,7 @@ def test_what_is_no_classic_frame_is_counted(tmp_path: Path) -> None:
 def test_a_cut_file_gives_what_it_has(tmp_path: Path) -> None:
     path = tmp_path / "x"
     for text in (pcap([socketcan(*frame) for frame in FRAMES]), pcapng([socketcan(*frame) for frame in FRAMES])):
-        path.write_bytes(text[:-3])
-        with open_log(path) as log:
-            assert sum(len(frames) for frames in log) == 3
-        assert log.bad == {"unreadable": 1}
+        assert counted(path, text[:-3])[::2] == (3, {"unreadable": 1})
 
 
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -148,10 +146,7 @@ def test_broken_bytes_are_no_traceback(tmp_path: Path, data: st.DataObject) -> N
     text = bytearray(data.draw(st.sampled_from([pcap(packets), pcapng(packets)])))
     for _ in range(data.draw(st.integers(1, 4))):
         text[data.draw(st.integers(4, len(text) - 1))] = data.draw(st.integers(0, 255))
-    path = tmp_path / "x"
-    path.write_bytes(text)
-    with open_log(path) as log:
-        assert sum(len(frames) for frames in log) <= len(FRAMES)
+    assert counted(tmp_path / "x", bytes(text))[0] <= len(FRAMES)
 
 
 @pytest.mark.skipif(not shutil.which("text2pcap"), reason="needs Wireshark's text2pcap and editcap")

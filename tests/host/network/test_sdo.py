@@ -1,9 +1,11 @@
 """SdoChannel against real nodes: values, aborts, lost and damaged answers, many threads; asyncio in virtual time."""
 
 import asyncio
+import itertools
 import struct
 import threading
 from collections.abc import Callable, Coroutine, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 from typing import Any, NamedTuple, cast
 
@@ -51,17 +53,13 @@ def bus(shared: tuple[Bus, FaultyBus]) -> FaultyBus:
     return shared[1]
 
 
-def only_first(change: Callable[[can.Message], can.Message | None]) -> Callable[[can.Message], can.Message | None]:
-    """Apply ``change`` to the first SDO answer, leave the others."""
-    seen: list[int] = []
+Fault = Callable[[can.Message], can.Message | None]
 
-    def fault(message: can.Message) -> can.Message | None:
-        if message.arbitration_id != ANSWER or seen:
-            return message
-        seen.append(1)
-        return change(message)
 
-    return fault
+def at_answer(number: int, change: Fault) -> Fault:
+    """Apply ``change`` to one SDO answer, counted from 0, leave the others."""
+    answers = itertools.count()
+    return lambda message: change(message) if message.arbitration_id == ANSWER and next(answers) == number else message
 
 
 def lost(message: can.Message) -> can.Message | None:
@@ -126,14 +124,12 @@ def test_an_abort_names_place_code_and_meaning(
     ],
     ids=["lost", "empty", "one byte", "half an abort", "three bytes", "nonsense", "another object"],
 )
-def test_one_bad_answer_is_made_good_by_a_retry(
-    connection: Bus, bus: FaultyBus, damage: Callable[[can.Message], can.Message | None]
-) -> None:
+def test_one_bad_answer_is_made_good_by_a_retry(connection: Bus, bus: FaultyBus, damage: Fault) -> None:
     sdo = connection.sdo(NODE)
     sdo.retries = 1
-    bus.fault = only_first(damage)
+    bus.fault = at_answer(0, damage)
     assert sdo.read(od.IDENTITY_SERIAL) == 1000 + NODE
-    bus.fault = only_first(damage)
+    bus.fault = at_answer(0, damage)
     sdo.write(od.HEARTBEAT_PRODUCER_MS, 700)
     assert sdo.read(od.HEARTBEAT_PRODUCER_MS) == 700
 
@@ -143,14 +139,9 @@ def test_a_segmented_transfer_survives_a_loss_anywhere(connection: Bus, bus: Fau
     sdo = connection.sdo(NODE)
     sdo.retries = 1
     record = bytes(range(16)) + bytes(142)
-
-    def losing() -> Callable[[can.Message], can.Message | None]:
-        count = iter(range(1000))
-        return lambda m: None if m.arbitration_id == ANSWER and next(count) == answer else m
-
-    bus.fault = losing()
+    bus.fault = at_answer(answer, lost)
     sdo.write(od.CALIBRATION_STAGED_RECORD, record)
-    bus.fault = losing()
+    bus.fault = at_answer(answer, lost)
     assert sdo.read(od.CALIBRATION_STAGED_RECORD) == record
 
 
@@ -251,18 +242,15 @@ def test_four_threads_at_once(
             except Exception as error:
                 wrong.append(error)
 
-    threads = [threading.Thread(target=work, args=(transfer,)) for transfer in transfers]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(len(transfers)) as pool:
+        pool.map(work, transfers)
     assert not wrong
 
 
 def test_a_thread_and_a_task_take_turns_in_the_order_of_their_requests(connection: Bus, bus: FaultyBus) -> None:
     sdo = connection.sdo(NODE)
     sdo.retries = 1
-    bus.fault = only_first(lambda _message: None)  # the thread waits for a response: the task for the thread
+    bus.fault = at_answer(0, lost)  # the thread waits for a response: the task for the thread
     thread = threading.Thread(target=lambda: sdo.read(od.DEVICE_NAME))
     thread.start()
     while not bus.sent:

@@ -121,10 +121,7 @@ def limit_of(fit: Fit, Sigma: FloatArray, dof: float, largest_newtons: float) ->
 
 
 def _calibration_of(request: FitRequest, data: Measurements, fit: Fit, note: Callable[[str], None]) -> Calibration:
-    code = CUSTOM_LAYOUT_CODE
-    if request.structure is not None:
-        points = [gauge for gauge in request.structure[1] if isinstance(gauge, str)]
-        code = layout_code(points) if len(points) == len(fit.A) else CUSTOM_LAYOUT_CODE
+    code = CUSTOM_LAYOUT_CODE if request.structure is None else layout_code(request.structure[1])
     day = request.date or datetime.date.today()
     noise, parameters = map(to_digits, fit.record_covariances)
     return Calibration(

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray, occurring
 from tipforce.dictionary import table
-from tipforce.errors import EnvironmentLackError, InputError, needing
+from tipforce.errors import InputError, needing
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.contact_columns import VALUES, History, of_samples
 from tipforce.host.decoding.estimator import Contacts, prepared
@@ -140,10 +140,8 @@ def _pyarrow() -> Any:
 
 
 def _data_frame(samples: NodeLog | Log) -> pandas.DataFrame:
-    try:
+    with needing("to_pandas needs pandas: `pip install pandas`"):
         return samples.to_arrow().to_pandas()
-    except ImportError:
-        raise EnvironmentLackError("to_pandas needs pandas: `pip install pandas`") from None
 
 
 def read_log(

@@ -5,7 +5,8 @@ import socket
 import struct
 import time
 from collections.abc import Mapping
-from typing import Any, Self
+from contextlib import AbstractContextManager
+from typing import Any
 
 from canopen_device.can_frame import CAN_FRAME
 from tipforce.errors import EnvironmentLackError
@@ -21,16 +22,13 @@ class NotCarriedError(Exception):
     """The bus does not carry frames of this kind."""
 
 
-class SocketCanSender:
+class SocketCanSender(AbstractContextManager["SocketCanSender"]):
     """Sender on a raw CAN socket."""
 
     def __init__(self, channel: str) -> None:
         """Open the socket. Raises EnvironmentLackError if the interface does not exist."""
         self._channel = channel
         self._socket = open_socket(channel, Selection((Filter(0, 0, inverse=True),)))  # it receives nothing
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._socket.close()
@@ -63,7 +61,7 @@ class SocketCanSender:
         return EnvironmentLackError(f"interface socketcan, channel {self._channel}: {error.strerror}; {hint}")
 
 
-class PythonCanSender:
+class PythonCanSender(AbstractContextManager["PythonCanSender"]):
     """Sender on any python-can bus."""
 
     def __init__(self, options: Mapping[str, Any]) -> None:
@@ -72,9 +70,6 @@ class PythonCanSender:
 
         self._name = str(options.get("channel") or options.get("interface") or "the bus")
         self._bus = open_bus(**options)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._bus.shutdown()

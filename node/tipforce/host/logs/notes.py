@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
-from canopen_device.visible_text import visible
+from canopen_device.visible_text import shortened, visible
 from tipforce.errors import InputError, LogError
 from tipforce.host.frames.frame_array import MAX_CHANNELS, FrameArray
 
@@ -24,8 +24,6 @@ EXPECTED = {
 }
 """Reasons for bad lines, and the expected text."""
 
-_SHOWN_CHARACTERS = 80
-
 
 class BadLineError(InputError):
     """The first bad line or record of a log that is read strictly."""
@@ -40,8 +38,7 @@ class BadLine:
     reason: str
 
     def __str__(self) -> str:
-        shown = self.text if len(self.text) <= _SHOWN_CHARACTERS else self.text[:_SHOWN_CHARACTERS] + "..."
-        return f"line {self.number}: {shown!r}: {self.reason}: {EXPECTED[self.reason]}"
+        return f"line {self.number}: {shortened(self.text)!r}: {self.reason}: {EXPECTED[self.reason]}"
 
     def moved(self, lines: int) -> BadLine:
         """Return the bad line of a part with ``lines`` lines before it."""

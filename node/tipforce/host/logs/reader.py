@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from tipforce.core import core
@@ -22,7 +23,7 @@ MCAP_MAGIC = b"\x89MCAP"
 _PCAP_STARTS = (b"\xa1\xb2\xc3\xd4", b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\x4d\x3c\xb2\xa1", b"\x0a\x0d\x0d\x0a")
 
 
-class LogReader(LogNotes):
+class LogReader(LogNotes, AbstractContextManager["LogReader"]):
     """Iterate over a log once as FRAME arrays; memory stays bounded. A context manager; see LogNotes. The notes are
     complete at the end of the iteration. ``channels`` grows as new interfaces occur."""
 
@@ -104,9 +105,6 @@ class LogReader(LogNotes):
             self._thread.shutdown(cancel_futures=True)
         if self._lines is not None:
             self._lines.close()
-
-    def __enter__(self) -> LogReader:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -5,9 +5,10 @@ from __future__ import annotations
 import gzip
 import os
 import time
+from contextlib import AbstractContextManager
 from io import BufferedIOBase
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import EnvironmentLackError, InputError, WriteError
 from tipforce.host.logs.notes import suffix_of
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from tipforce.host.frames.frame_block import CandumpBlock
 
 
-class Recorder:
+class Recorder(AbstractContextManager["Recorder"]):
     """Write blocks to ``path``, or with a limit to numbered files: run-0001.log, run-0002.log... A context manager."""
 
     def __init__(
@@ -33,9 +34,6 @@ class Recorder:
         self.frames = 0
         self._failed = False
         self._writer = self._open()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._close()

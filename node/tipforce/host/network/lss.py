@@ -6,6 +6,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from concurrent.futures import Future
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING
 
 from canopen_device.core import codes
@@ -21,7 +22,7 @@ STORE_TIMEOUT_S = 2.0  # a node responds after its memory is written
 _STORE_ERRORS = {1: "it has no memory for node-id and bit rate", 2: "its memory failed"}
 
 
-class LssMaster:
+class LssMaster(AbstractContextManager["LssMaster"]):
     """LSS master of a bus. Use it as a context manager: all nodes are left in the waiting state."""
 
     def __init__(self, connection: Bus, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
@@ -29,9 +30,6 @@ class LssMaster:
         self._timeout_s = timeout_s
         self._awaited: tuple[int, Future[bytes]] | None = None
         connection.dispatcher.subscribe(codes.LSS_RESPONSE_COB_ID, self._on_answer)
-
-    def __enter__(self) -> LssMaster:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.release()

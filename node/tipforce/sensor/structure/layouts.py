@@ -1,6 +1,7 @@
 """The paper's gauge points, cases and calibration: Table 1, the layouts of Table 3, their mirrors, the grooves."""
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 from tipforce.errors import InputError
 
@@ -54,9 +55,10 @@ def layout(name_or_points: Layout) -> tuple[str, ...]:
     return points
 
 
-def layout_code(name_or_points: Layout) -> int:
-    """Return 1, 2, 3 for the cases I, II, III with SG1 to SG3 in their order, else 255. Raises as layout() does."""
-    points = layout(name_or_points)
+def layout_code(gauges: str | Sequence[Any]) -> int:
+    """Return 1, 2, 3 for the cases I, II, III with SG1 to SG3 in their order, else 255, as with a place along a beam.
+    Raises as layout() does."""
+    points = layout(gauges) if all(isinstance(gauge, str) for gauge in gauges) else ()
     return next((code for code, case in CASE_OF_CODE.items() if LAYOUTS[case] == points), CUSTOM_LAYOUT_CODE)
 
 
