@@ -23,9 +23,8 @@ iio:...` alone.
 
 import math
 from collections.abc import Sequence
-from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import msgspec
 
@@ -43,10 +42,14 @@ class _Place(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     face: Literal["lower", "upper"] | None = None
 
 
-if TYPE_CHECKING:
-    _Body = msgspec.Struct
-else:  # unknown keys are ignored
-    _Body = msgspec.defstruct("_Body", [(field.name, float) for field in fields(Geometry)])
+class _Body(msgspec.Struct):  # unknown keys are ignored
+    a_m: float
+    d_m: float
+    r_m: float
+    h1_m: float
+    h2_m: float
+    width_m: float
+    youngs_modulus_pascals: float
 
 
 class BridgeTable(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
