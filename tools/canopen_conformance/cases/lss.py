@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from functools import partial
 
 from canopen_conformance import steps as do
-from canopen_conformance.case import NotApplicableError, Service, check
+from canopen_conformance.case import NotApplicableError, Service, check, need
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE, STOP
 
@@ -132,8 +132,7 @@ def renumbered(dut: Dut, node_id: int) -> Iterator[None]:
         say(dut, 0x11, node_id)
         answer = dut.expect(SLAVE).data
     check(node_id == UNCONFIGURED or not answer[1], "the node-id to be taken", answer.hex(" "))
-    if answer[1]:
-        raise NotApplicableError("node-id 255 is refused")
+    need(not answer[1], "node-id 255 is refused")
     try:
         dut.nmt(RESET_COMMUNICATION)
         dut.node_id = node_id
@@ -177,8 +176,7 @@ def ranges(dut: Dut, part: int = 0, step: int = 0) -> list[int]:
     """The six numbers that this device alone fits, with a step more of one part."""
     numbers = [dut.identity[k] for k in (0, 1, 2, 2, 3, 3)]
     numbers[part] += step
-    if not 0 <= numbers[part] <= 0xFFFFFFFF:
-        raise NotApplicableError("the identity lies at the end of the range")
+    need(0 <= numbers[part] <= 0xFFFFFFFF, "the identity lies at the end of the range")
     return numbers
 
 
@@ -255,8 +253,7 @@ def boots(dut: Dut) -> None:
 
 def start_scan(dut: Dut) -> None:
     """Begin fastscan; not applicable for a device without it."""
-    if not scan(dut, 0, START_SCAN, 0, 0):
-        raise NotApplicableError("no fastscan")
+    need(scan(dut, 0, START_SCAN, 0, 0), "no fastscan")
 
 
 @unnumbered("6.6.4: fastscan finds all 128 bits and leads to configuration", IDENTITY, persistent=True)
