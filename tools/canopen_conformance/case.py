@@ -43,6 +43,12 @@ def check(right: object, expected: str, got: str) -> None:
         raise CheckError(expected, got)
 
 
+def need(fits: object, lack: str) -> None:
+    """Raise NotApplicableError with the text ``lack`` unless the case ``fits`` the device."""
+    if not fits:
+        raise NotApplicableError(lack)
+
+
 class Product(NamedTuple):
     """The devices that a caller's own cases are for: those whose 1018h:2 has this code under the mask.
     ``write_only_index``: an object of these devices, sub-index 0, that can only be written."""

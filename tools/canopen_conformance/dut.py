@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import TypeAlias
 
 from canopen_conformance import wire
-from canopen_conformance.case import CheckError, LostDeviceError, NotApplicableError, Product, check
+from canopen_conformance.case import CheckError, LostDeviceError, NotApplicableError, Product, check, need
 from canopen_conformance.wire import Abort, Frame, Link
 
 LAST_DATA_TYPE = 0x1B
@@ -199,8 +199,7 @@ class Dut:
 
     def waits_for_start(self) -> None:
         """End a case about the state after the boot-up for a device that starts by itself."""
-        if self.starts_by_itself:
-            raise NotApplicableError("the device enters OPERATIONAL by itself after its boot-up")
+        need(not self.starts_by_itself, "the device enters OPERATIONAL by itself after its boot-up")
 
     def boot_up(self) -> Frame:
         """Wait for the boot-up message; a heartbeat sent during the reset may precede it."""
@@ -319,14 +318,13 @@ class Dut:
         """Download a precondition of the case: unless ``required``, not applicable if the device refuses it."""
         code = self.try_write(index, sub, struct.pack("<" + kind, value))
         shown = f"{value:g}" if kind == "f" else f"{int(value):X}h"
-        if code == Abort.READ_ONLY:
-            raise NotApplicableError(f"{index:04X}h:{sub:02X} cannot be written")
+        need(code != Abort.READ_ONLY, f"{index:04X}h:{sub:02X} cannot be written")
         if code == Abort.NO_OBJECT and index in _RPDO_MAPPINGS and int(value) >> 16 <= LAST_DATA_TYPE:
             raise NotApplicableError(f"no data type {int(value) >> 16:04X}h as a dummy entry (CiA 301, 7.4.7.1)")
         if code == Abort.NO_SUB and (index in _RPDO_MAPPINGS or index in _TPDO_MAPPINGS):
             raise NotApplicableError(f"{index:04X}h has no sub-index {sub}")
-        if code in _MAY_REFUSE and not required:
-            raise NotApplicableError(f"{index:04X}h:{sub:02X} does not take {shown} (abort {code:08X}h)")
+        refused = code in _MAY_REFUSE and not required
+        need(not refused, f"{index:04X}h:{sub:02X} does not take {shown} (abort {code:08X}h)")
         check(not code, f"{index:04X}h:{sub:02X} to accept {shown}", f"abort {code:08X}h")
 
     def holds(self, kind: str, index: int, sub: int, value: float) -> None:
@@ -341,8 +339,7 @@ class Dut:
     def refuses_bytes(self, index: int, sub: int, data: bytes, *codes: int) -> None:
         """Check that a write is aborted with one of ``codes`` (or of its limits); not applicable if read-only."""
         code = self.try_write(index, sub, data)
-        if code == Abort.READ_ONLY and code not in codes:
-            raise NotApplicableError(f"{index:04X}h:{sub:02X} cannot be written")
+        need(code != Abort.READ_ONLY or code in codes, f"{index:04X}h:{sub:02X} cannot be written")
         if code in (Abort.TOO_HIGH, Abort.TOO_LOW) and Abort.INVALID_VALUE in codes and not self.is_of_product():
             return
         shown = " or ".join(f"{wanted:08X}h" for wanted in codes)

@@ -7,6 +7,7 @@ import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime, timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -43,9 +44,7 @@ def run_show(args: argparse.Namespace, *, hashes: bool = False) -> int:
     return 1 if wrong else 0
 
 
-def run_verify(args: argparse.Namespace) -> int:
-    """Compare the hash of each file."""
-    return run_show(args, hashes=True)
+run_verify = partial(run_show, hashes=True)
 
 
 def run_compact(args: argparse.Namespace) -> int:

@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 from pathlib import Path
 from typing import Any
 
@@ -64,10 +63,6 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 def number(text: str) -> float | None:
     """A cell; None where it is empty."""
     return float(text) if text else None
-
-
-def records_of(text: str) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in text.splitlines()]
 
 
 def rows_of_dataset(directory: Path) -> list[tuple[Any, ...]]:

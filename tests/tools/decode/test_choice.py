@@ -19,9 +19,9 @@ from tipforce.host.decoding.pdo_layout import node_layout
 from tipforce.host.decoding.sample_table import Column, Table
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix, strain_matrix
-from tipforce_tools.cli.main import main
 from tipforce_tools.decode.resample import Resampler
 from tools.decode.logs import decode, log_lines, number, rows_of, write_log
+from tools.rig import Printed
 
 P = Column("P_N", "P", "real", 3, "N", 0)
 PHI = Column("phi_deg", "phi", "real", 2, "degree", 1)
@@ -60,13 +60,12 @@ def test_relative_time_counts_from_the_first_log(tmp_path: Path) -> None:
         assert len(rows_of(tmp_path / "part.csv")) == 50
 
 
-def test_a_log_without_times(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_without_times(tmp_path: Path, printed: Printed) -> None:
     log = write_log(tmp_path / "screen.log", ["  can0  285   [8]  E8 03 64 00 C8 00 03 01", "  can0  705   [1]  00"])
     assert decode(log, "-o", tmp_path / "a.csv") == decode(log, "-o", f"{tmp_path}/data/") == 0
     assert {row["t_s"] for name in ("a.csv", "a.events.csv") for row in rows_of(tmp_path / name)} == {""}
     assert pq.read_table(tmp_path / "data" / "events")["t_s"].to_pylist() == [None]
-    assert main(["dataset", "show", str(tmp_path / "data")]) == 0
-    assert "an unknown time to an unknown time" in capsys.readouterr().out
+    assert "an unknown time to an unknown time" in printed(0, f"dataset show {tmp_path}/data").out
     for name in (log, tmp_path / "data"):
         samples = read_log(name)[5]
         assert (str(samples.t_s), samples.to_arrow()["t_s"].null_count) == ("[nan]", 1)
@@ -134,7 +133,7 @@ def test_resample_does_not_see_blocks(made: list[tuple[int, int, float]], size: 
         np.testing.assert_allclose(np.diff(grid), 1 / rate_hz, atol=2e-9)
 
 
-def test_calibration_equals_estimate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_calibration_equals_estimate(tmp_path: Path, printed: Printed) -> None:
     A = strain_matrix(FABRICATED, "I")
     offset = np.array([20e-6, -30e-6, 5e-6])
     cal = tmp_path / "cal.toml"
@@ -149,8 +148,7 @@ def test_calibration_equals_estimate(tmp_path: Path, capsys: pytest.CaptureFixtu
         gauges.append(",".join(f"{value / 10:.1f}" for value in raw))
     log = write_log(tmp_path / "run.log", lines)
     write_log(tmp_path / "gauges.csv", gauges)
-    assert main(["estimate", str(cal), str(tmp_path / "gauges.csv"), "-q"]) == 0
-    expected = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
+    expected = list(csv.DictReader(io.StringIO(printed(0, f"estimate {cal} {tmp_path}/gauges.csv -q").out)))
     assert decode(log, "--calibration", f"5={cal}", "-o", tmp_path / "contact.csv") == 0
     found = rows_of(tmp_path / "contact.csv")
     assert len(found) == len(expected) == 200

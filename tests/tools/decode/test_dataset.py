@@ -2,7 +2,6 @@
 
 import contextlib
 import gzip
-import json
 import os
 import random
 import signal
@@ -24,7 +23,7 @@ from tipforce.host.dataset.store import FOLDER, Store, is_dataset
 from tipforce_tools.cli.main import main
 from tipforce_tools.decode import dataset_run, session
 from tools.decode.logs import decode, globbed, log_lines, rows_of, rows_of_dataset, rows_of_logs, write_log
-from tools.rig import until
+from tools.rig import Printed, until
 
 COMMAND = [sys.executable, "-m", "tipforce_tools.cli.main"]
 
@@ -81,7 +80,7 @@ def test_many_logs_are_known_again_in_few_reads(tmp_path: Path, monkeypatch: pyt
     assert 0 < counted.call_count < 20 * len(logs)
 
 
-def test_readers(tmp_path: Path, lines: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_readers(tmp_path: Path, lines: list[str], printed: Printed) -> None:
     log, data = write_log(tmp_path / "run.log", [*lines, "bad"]), tmp_path / "data"
     assert decode(log, "-o", f"{data}/") == 0
     one, other = tipforce.read_log(log), tipforce.read_log(data)
@@ -96,24 +95,20 @@ def test_readers(tmp_path: Path, lines: list[str], capsys: pytest.CaptureFixture
     steps = {int(one["counter"]) - int(other["counter"]) for one, other in zip(found, expected, strict=True)}
     assert len(steps) == 1  # a dataset's counters begin with the log, not with the slice
     assert [{**row, "counter": ""} for row in found] == [{**row, "counter": ""} for row in expected]
-    assert main(["plot", str(data), "-o", str(tmp_path / "a.svg"), "-q"]) == 0
-    capsys.readouterr()
-    assert main(["decode", str(data), "--summary"]) == 0
-    assert f"{data}: bad lines: 1 not a candump line\n" in capsys.readouterr().err
+    printed(0, f"plot {data} -o {tmp_path}/a.svg -q")
+    assert f"{data}: bad lines: 1 not a candump line\n" in printed(0, f"decode {data} --summary").err
 
 
-def test_what_it_holds(tmp_path: Path, lines: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_it_holds(tmp_path: Path, lines: list[str], printed: Printed) -> None:
     log, data = write_log(tmp_path / "run.log", [*lines, "bad"]), tmp_path / "data"
     assert decode(log, "-o", f"{data}/") == 0
-    assert main(["dataset", "verify", str(data)]) == 0
-    out = capsys.readouterr().out
+    out = printed(0, f"dataset verify {data}").out
     assert "vcan0 node 5 (0x05):" in out
     assert "1 bad lines" in out
     file = data / next(iter(globbed(data)))
     file.write_bytes(file.read_bytes()[:-9] + b"x" + file.read_bytes()[-8:])
-    assert main(["dataset", "show", str(data)]) == 0
-    assert main(["dataset", "verify", str(data)]) == 1
-    assert "differs" in capsys.readouterr().out
+    printed(0, f"dataset show {data}")
+    assert "differs" in printed(1, f"dataset verify {data}").out
 
 
 def test_two_writers(tmp_path: Path, lines: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -239,7 +234,7 @@ def test_a_run_that_is_killed_is_completed(tmp_path: Path, lines: list[str]) -> 
             assert decode(log, "-o", f"{data}/", "-j", 1) == 0
 
 
-def test_two_calibrations(tmp_path: Path, lines: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_calibrations(tmp_path: Path, lines: list[str], printed: Printed) -> None:
     """Reads of 2103h:3 tell them, the same one several times; how logs are cut changes nothing."""
     told = [f"585#43032103{crc}" for crc in ("44332211", "44332211", "78563412", "78563412")]
     whole = list(lines)
@@ -249,13 +244,11 @@ def test_two_calibrations(tmp_path: Path, lines: list[str], capsys: pytest.Captu
     for data, steps in ((tmp_path / "one", [logs]), (tmp_path / "two", [logs[:1], logs])):
         for names in steps:
             assert decode(*names, "-j", 2, "-o", f"{data}/") == 0
-        assert main(["dataset", "show", str(data), "--json"]) == 0
-        found = json.loads(capsys.readouterr().out)["calibrations"]
+        found = printed(0, f"dataset show {data} --json").records[0]["calibrations"]
         assert [(one["node"], one["crc"]) for one in found] == [(5, 0x11223344), (5, 0x12345678)]
-    assert main(["dataset", "show", str(data)]) == 0
-    assert "vcan0 node 5: rows of 2 calibrations: 0x11223344 from 2023-11-14T22:13:20" in capsys.readouterr().out
+    out = printed(0, f"dataset show {data}").out
+    assert "vcan0 node 5: rows of 2 calibrations: 0x11223344 from 2023-11-14T22:13:20" in out
     query = """select code, count(*) as n from samples asof join (select t_s as since, node, code from events where
                event = 'calibration') told on samples.node = told.node and samples.t_s >= since group by code"""
-    assert main(["dataset", "sql", str(data), "--json", query]) == 0
-    rows = {row["code"]: row["n"] for row in map(json.loads, capsys.readouterr().out.splitlines())}
+    rows = {row["code"]: row["n"] for row in printed(0, ["dataset", "sql", data, "--json", query]).records}
     assert rows.keys() == {"0x11223344", "0x12345678"}

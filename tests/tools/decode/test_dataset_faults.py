@@ -17,6 +17,7 @@ from tipforce.host.decoding.sample_table import Column
 from tipforce_tools.cli.main import main
 from tipforce_tools.decode import dataset_run, session
 from tools.decode.logs import decode, globbed, log_lines, rows_of_dataset, rows_of_logs, write_log
+from tools.rig import Printed
 
 
 @pytest.fixture(autouse=True)
@@ -46,9 +47,7 @@ def check(data: Path, *logs: Path, apart: bool = False) -> None:
     assert globbed(data) == {file.path for file in opened(str(data))[1].files()}
 
 
-def test_removed_and_truncated_files_are_written_again(
-    tmp_path: Path, days: list[Path], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_removed_and_truncated_files_are_written_again(tmp_path: Path, days: list[Path], printed: Printed) -> None:
     data = tmp_path / "data"
     assert decode(*days, "-j", 1, "-o", f"{data}/") == 0
     manifest = opened(str(data))[1]
@@ -56,12 +55,9 @@ def test_removed_and_truncated_files_are_written_again(
     (data / of_second[0].files[0].path).unlink()
     os.truncate(data / of_second[-1].files[-1].path, 50)
     for words in (["dataset", "sql", f"{data}", "select 1"], ["decode", "-q", f"{data}"]):
-        capsys.readouterr()
-        assert main(words) == 1
-        found = capsys.readouterr().err.splitlines()
-        assert "missing or damaged" in found[0]
-        assert "writes them again" in found[0]
-        assert len(found) == 1
+        (line,) = printed(1, words).err.splitlines()
+        assert "missing or damaged" in line
+        assert "writes them again" in line
     assert main(["dataset", "show", f"{data}"]) == 1  # sizes show it, too
     assert decode(days[1], "-j", 1, "-o", f"{data}/") == 0
     check(data, *days)
@@ -177,14 +173,11 @@ def test_logs_that_are_not_logs(tmp_path: Path, lines: list[str]) -> None:
     check(data, log)
 
 
-def test_copies_and_other_states_of_a_log(
-    tmp_path: Path, lines: list[str], days: list[Path], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_copies_and_other_states_of_a_log(tmp_path: Path, lines: list[str], days: list[Path], printed: Printed) -> None:
     log, copy = write_log(tmp_path / "run.log", lines), write_log(tmp_path / "copy.log", lines)
     start, data = write_log(tmp_path / "start.log", lines[:1000]), tmp_path / "data"
     for pair in ((log, copy), (start, log), (log, log)):
-        assert decode(*pair, "-j", 1, "-o", f"{data}/") == 2
-        assert "begins like" in capsys.readouterr().err
+        assert "begins like" in printed(2, ["decode", *pair, "-j", 1, "-o", f"{data}/"]).err
     for logs in ((start,), (log,), (log, copy)):
         assert decode(*logs, "-j", 1, "-o", f"{data}/") == 0
     check(data, log)
@@ -192,8 +185,7 @@ def test_copies_and_other_states_of_a_log(
     packed.write_bytes(gzip.compress(log.read_bytes()))
     changed = write_log(tmp_path / "changed.log", [*lines[:900], *lines[1000:]])
     for other in (packed, changed):
-        assert decode(other, "-j", 1, "-o", f"{data}/") == 2
-        assert "begins like" in capsys.readouterr().err
+        assert "begins like" in printed(2, f"decode {other} -j 1 -o {data}/").err
     moved = tmp_path / "moved"
     moved.mkdir()
     other_data = tmp_path / "days"
@@ -230,14 +222,13 @@ def test_interrupted_between_two_logs(tmp_path: Path, days: list[Path], monkeypa
     ("text", "says"),
     [('{"format": 2, "parts": 5}', "newer one"), ('{"format": 1, "gener', "put back a copy"), ("", "put back a copy")],
 )
-def test_manifests(tmp_path: Path, days: list[Path], capsys: pytest.CaptureFixture[str], text: str, says: str) -> None:
+def test_manifests(tmp_path: Path, days: list[Path], printed: Printed, text: str, says: str) -> None:
     data = tmp_path / "data"
     (data / FOLDER).mkdir(parents=True)
     (data / FOLDER / "manifest-0000000004.json").write_text(text)
-    assert main(["dataset", "show", str(data)]) == decode(days[0], "-o", f"{data}/") == 2
-    found = capsys.readouterr().err.splitlines()
-    assert len(found) == 2
-    assert all(says in line for line in found)
+    for words in (f"dataset show {data}", f"decode {days[0]} -o {data}/"):
+        (line,) = printed(2, words).err.splitlines()
+        assert says in line
 
 
 def test_changes_of_a_manifest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -270,9 +261,7 @@ def test_changes_of_a_manifest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         manifests.read_manifest(store)
 
 
-def test_inputs_and_outputs_that_cannot_be(
-    tmp_path: Path, days: list[Path], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_inputs_and_outputs_that_cannot_be(tmp_path: Path, days: list[Path], printed: Printed) -> None:
     data = tmp_path / "data"
     assert decode(days[0], "-j", 1, "-o", f"file://{data}/") == 0
     for words, says in (
@@ -280,8 +269,7 @@ def test_inputs_and_outputs_that_cannot_be(
         ([days[1], "-o", f"{data}/", "--format", "csv"], "has Parquet files"),
         ([days[1], "-o", "nothing://data/"], "not a URL that fsspec opens"),
     ):
-        assert decode(*words) == 2
-        assert says in capsys.readouterr().err
+        assert says in printed(2, ["decode", *words]).err
     assert decode(data, days[1], "-j", 2, "-o", tmp_path / "both.csv") == 0
 
 

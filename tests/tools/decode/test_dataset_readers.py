@@ -24,6 +24,7 @@ from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce_tools import dataset as command
 from tipforce_tools.cli.main import main
 from tools.decode.logs import decode, globbed, log_lines, rows_of_dataset, rows_of_logs, write_log
+from tools.rig import Printed
 
 pytestmark = pytest.mark.filterwarnings("ignore:The inplace keyword")  # Dask calls pandas with it
 
@@ -209,7 +210,7 @@ def contents(folder: Path) -> dict[Path, bytes]:
 
 @pytest.mark.parametrize("query", REFUSED)
 def test_what_is_not_of_the_dataset_is_refused(
-    query: str, dataset: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    query: str, dataset: Path, monkeypatch: pytest.MonkeyPatch, printed: Printed
 ) -> None:
     (dataset / "home").mkdir(exist_ok=True)
     monkeypatch.chdir(dataset)
@@ -223,8 +224,7 @@ def test_what_is_not_of_the_dataset_is_refused(
     ):
         query = query.replace(name, str(path))
     for words in ([], ["--json"]):
-        assert main(["dataset", "sql", "data", *words, query]) == 2
-        out, err = capsys.readouterr()
+        out, err = printed(2, ["dataset", "sql", "data", *words, query])
         assert out == ""
         assert err.startswith("tipforce: dataset sql: ")
         assert len(err.splitlines()) == 1
@@ -247,36 +247,34 @@ QUERIES = {
 
 
 @pytest.mark.parametrize("query", QUERIES)
-def test_what_a_query_may_do(query: str, dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dataset", "sql", f"{dataset}/data", "--json", query]) == 0
-    assert json.loads(capsys.readouterr().out) == QUERIES[query]
-    assert main(["dataset", "sql", f"{dataset}/data", query]) == 0
+def test_what_a_query_may_do(query: str, dataset: Path, printed: Printed) -> None:
+    assert printed(0, ["dataset", "sql", f"{dataset}/data", "--json", query]).records == [QUERIES[query]]
+    printed(0, ["dataset", "sql", f"{dataset}/data", query])
 
 
-def test_no_column_is_lost_in_an_object(dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_column_is_lost_in_an_object(dataset: Path, printed: Printed) -> None:
     for words in ([], ["--unrestricted"]):
-        assert main(["dataset", "sql", f"{dataset}/data", "--json", *words, "select 1 as a, 2 as a"]) == 2
-        assert "2 columns are called a: rename one" in capsys.readouterr().err
+        err = printed(2, ["dataset", "sql", f"{dataset}/data", "--json", *words, "select 1 as a, 2 as a"]).err
+        assert "2 columns are called a: rename one" in err
 
 
-def test_show_and_a_query_have_the_same_times(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_show_and_a_query_have_the_same_times(tmp_path: Path, printed: Printed) -> None:
     """1700000000.002 as a double, in milliseconds, is below ...002."""
     frames = [f"({1700000000.002 + 0.01 * k:.6f}) can0 285#F401E803008003{k:02X}" for k in range(3)]
     assert decode(write_log(tmp_path / "run.log", frames), "-o", f"{tmp_path}/data/") == 0
-    assert main(["dataset", "show", f"{tmp_path}/data"]) == 0
-    assert "2023-11-14T22:13:20.002 to 2023-11-14T22:13:20.022" in capsys.readouterr().out
+    out = printed(0, f"dataset show {tmp_path}/data").out
+    assert "2023-11-14T22:13:20.002 to 2023-11-14T22:13:20.022" in out
 
 
-def test_rows_keep_their_order_and_are_printed_in_parts(dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rows_keep_their_order_and_are_printed_in_parts(dataset: Path, printed: Printed) -> None:
     query = "select range as n from range(25000) order by n desc"
-    assert main(["dataset", "sql", f"{dataset}/data", "--json", query]) == 0
-    assert [json.loads(line)["n"] for line in capsys.readouterr().out.splitlines()] == list(range(24999, -1, -1))
+    records = printed(0, ["dataset", "sql", f"{dataset}/data", "--json", query]).records
+    assert [record["n"] for record in records] == list(range(24999, -1, -1))
 
 
-def test_unrestricted(dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unrestricted(dataset: Path, printed: Printed) -> None:
     words = ["dataset", "sql", f"{dataset}/data", "--json", "--unrestricted"]
-    assert main([*words, f"select b from read_csv('{dataset}/secret.csv')"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"b": "SECRET"}
-    assert main([*words, f"copy (select 1 as a) to '{dataset}/new.csv'"]) == 0
+    assert printed(0, [*words, f"select b from read_csv('{dataset}/secret.csv')"]).records == [{"b": "SECRET"}]
+    printed(0, [*words, f"copy (select 1 as a) to '{dataset}/new.csv'"])
     assert (dataset / "new.csv").read_text() == "a\n1\n"
     (dataset / "new.csv").unlink()

@@ -22,6 +22,7 @@ from tipforce.watching.feeds import Finger
 from tipforce_tools.cli.main import main
 from tipforce_tools.page.sources import LogSource
 from tools.decode.logs import START_US, decode, log_lines, number, rows_of, write_log
+from tools.rig import Printed
 
 Found = dict[str, list[tuple[int, Any]]]
 EMCY = "(1700000000.100010) vcan0 085#3050100000000000"
@@ -160,23 +161,19 @@ def test_plot_view_and_read_log_read_it(files: Path) -> None:
 
 
 @pytest.mark.parametrize("flag", ["--signals=P", "--eds=a.eds", "--dbc=hand.dbc"])
-def test_what_it_cannot_hold_is_refused(flag: str, files: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert decode(files / "run.log", flag, "-o", files / "other.mcap") == 2
-    assert capsys.readouterr().err.startswith(f"tipforce: {flag.partition('=')[0]}: MCAP has whole contacts")
+def test_what_it_cannot_hold_is_refused(flag: str, files: Path, printed: Printed) -> None:
+    err = printed(2, f"decode {files}/run.log {flag} -o {files}/other.mcap").err
+    assert err.startswith(f"tipforce: {flag.partition('=')[0]}: MCAP has whole contacts")
 
 
-def test_a_file_of_other_messages_and_a_damaged_one(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_of_other_messages_and_a_damaged_one(files: Path, printed: Printed) -> None:
     whole = (files / "run.mcap").read_bytes()
     (files / "short.mcap").write_bytes(whole[: len(whole) // 10])
-    assert main(["decode", str(files / "short.mcap")]) == 1
-    assert "short.mcap: truncated: " in capsys.readouterr().err
+    assert "short.mcap: truncated: " in printed(1, f"decode {files}/short.mcap").err
     (files / "half.mcap").write_bytes(whole[: len(whole) * 9 // 10])
-    assert main(["decode", "--summary", str(files / "half.mcap")]) == 0
-    assert "half.mcap: truncated: " in capsys.readouterr().err
+    assert "half.mcap: truncated: " in printed(0, f"decode --summary {files}/half.mcap").err
     with (files / "other.mcap").open("wb") as stream:
         writer = Writer(stream)
         writer.start()
         writer.finish()  # type: ignore[no-untyped-call]
-    capsys.readouterr()
-    assert decode(files / "other.mcap") == 1
-    assert "no CAN frames (can_msgs/msg/Frame) in it" in capsys.readouterr().err
+    assert "no CAN frames (can_msgs/msg/Frame) in it" in printed(1, f"decode {files}/other.mcap").err

@@ -13,8 +13,8 @@ from subprocess import PIPE
 import pyarrow.parquet as pq
 import pytest
 
-from tipforce_tools.cli.main import main
 from tools.decode.logs import decode, log_lines, rows_of, write_log
+from tools.rig import Printed
 
 DECODE = [sys.executable, "-m", "tipforce_tools.cli.main", "decode"]
 
@@ -42,26 +42,22 @@ def test_columns_that_come_late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert [value is None for value in table["SG2_ue"].to_pylist()] == [not row["SG2_ue"] for row in rows]
 
 
-def test_strict_tells_what_was_lost_before_the_bad_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_strict_tells_what_was_lost_before_the_bad_line(tmp_path: Path, printed: Printed) -> None:
     lines = log_lines(9, (5,), loss=0.0)
     bad = write_log(tmp_path / "bad.log", [*lines[:12], *lines[15:], "nonsense"])  # without the fifth sample
-    assert main(["decode", str(bad), "--strict", "--summary", "--json"]) == 1
-    record = json.loads(capsys.readouterr().out)
+    (record,) = printed(1, f"decode {bad} --strict --summary --json").records
     assert record["lost"] == record["nodes"][0]["lost"] == 1
 
 
-def test_strict_ends_at_the_first_bad_line(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_strict_ends_at_the_first_bad_line(log: Path, tmp_path: Path, printed: Printed) -> None:
     lines = log.read_text().splitlines()
     lines[40:40] = ["(1700000000.9) nonsense"]
     lines[90:90] = ["(1700000000.900000) can0 28Z#00", "more nonsense"]
     bad = write_log(tmp_path / "bad.log", lines)
     out = tmp_path / "bad.csv"
-    assert main(["decode", str(bad), "--strict", "-o", str(out)]) == 1
-    err = capsys.readouterr().err
-    assert f"{bad}: line 41:" in err
+    assert f"{bad}: line 41:" in printed(1, f"decode {bad} --strict -o {out}").err
     assert not out.exists()
-    assert main(["decode", str(bad), "-o", str(out)]) == 0
-    err = capsys.readouterr().err
+    err = printed(0, f"decode {bad} -o {out}").err
     assert "1 identifier" in err
     assert "2 not a candump line" in err
     assert decode(log, "-o", tmp_path / "good.csv") == 0
@@ -133,11 +129,10 @@ def test_ctrl_c_completes_the_output_of_what_has_no_end(follow: bool, tmp_path: 
     assert rows == output.read_text()
 
 
-def test_text_for_people(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_text_for_people(tmp_path: Path, printed: Printed) -> None:
     frames = ["285#2E1129239A110303", "285#0080008000800204", "28F#E803008000800104"]
     log = write_log(tmp_path / "a.log", [f"(1700000000.00000{k}) can0 {frame}" for k, frame in enumerate(frames)])
-    assert decode(log) == 0
-    assert capsys.readouterr().out.splitlines() == [
+    assert printed(0, f"decode {log}").out.splitlines() == [
         "(1700000000.000000)  node   5 (0x05)  P   4.398 N  phi   90.01 deg  theta   45.06 deg  #3  "
         "contact, calibrated",
         "(1700000000.000001)  node   5 (0x05)  P unknown    phi unknown      theta unknown      #4  calibrated",

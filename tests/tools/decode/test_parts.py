@@ -22,6 +22,7 @@ from tipforce_tools.decode.workers import Event, InOrder, Work
 from tipforce_tools.writing.text_rows import TIME
 from tipforce_tools.writing.writers import Shape
 from tools.decode.logs import decode, log_lines, write_log
+from tools.rig import Printed
 
 READING = Reading(Layouts(4, (1, 2)))
 KINDS = ["gauges", "contact"] * 2 + ["health", "emcy", "heartbeat", "boot", "sync", "read", "serial", "bad"]
@@ -190,9 +191,7 @@ def test_rows_that_were_taken_are_decoded_again(tmp_path: Path) -> None:
     assert first == again == one_pass(log)[0]
 
 
-def test_a_worker_that_is_killed_is_repeated(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_worker_that_is_killed_is_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, printed: Printed) -> None:
     from tipforce_tools.decode import session
     from tipforce_tools.writing import writers
 
@@ -217,6 +216,5 @@ def test_a_worker_that_is_killed_is_repeated(
     assert (tmp_path / "two.csv").read_bytes() == (tmp_path / "one.csv").read_bytes()
     always = True
     before = sorted(path.name for path in tmp_path.iterdir())
-    assert decode(log, "-j", 2, "-o", tmp_path / "two.csv") != 0
-    assert "3 times" in capsys.readouterr().err
+    assert "3 times" in printed(2, f"decode {log} -j 2 -o {tmp_path}/two.csv").err
     assert sorted(path.name for path in tmp_path.iterdir()) == before

@@ -1,7 +1,6 @@
 """A large log in pieces, each decoded by a process: the same output, counts and bad lines as in one."""
 
 import argparse
-import json
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,9 +14,9 @@ from tipforce.host.decoding.log_part import Piece, Reading, Source
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.logs.lines import line_borders
 from tipforce.host.logs.notes import LogNotes
-from tipforce_tools.cli.main import main
 from tipforce_tools.decode import add_arguments, session
-from tools.decode.logs import decode, log_lines, records_of, rows_of, write_log
+from tools.decode.logs import decode, log_lines, rows_of, write_log
+from tools.rig import Printed, Streams
 
 PIECE_BYTES = 20_000
 
@@ -78,7 +77,7 @@ def table_rows(path: Path) -> list[dict[str, object]]:
     if path.suffix == ".parquet":
         rows = pq.read_table(path).to_pylist()
     else:
-        rows = rows_of(path) if path.suffix == ".csv" else records_of(path.read_text())
+        rows = rows_of(path) if path.suffix == ".csv" else Streams(path.read_text(), "").records
     drop = ("channel",) if path.suffix == ".jsonl" else ()  # a line has it from the second bus on
     return [{k: v for k, v in row.items() if v not in (None, "") and k not in drop} for row in rows]
 
@@ -96,28 +95,24 @@ def test_the_log_is_really_cut(log: Path) -> None:
         assert cut(*words) == []
 
 
-def test_the_same_summary_and_notes(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_same_summary_and_notes(log: Path, printed: Printed) -> None:
     spoil(log, 0.9)
     number = spoil(log, 0.6)
-    said = []
-    for jobs in ("1", "3"):
-        assert main(["decode", str(log), "--json", "--summary", "--jobs", jobs]) == 0
-        said.append(capsys.readouterr())
+    said = [printed(0, f"decode {log} --json --summary --jobs {jobs}") for jobs in (1, 3)]
     assert said[1] == said[0]
-    record = json.loads(said[0].out)
+    (record,) = said[0].records
     assert sum(record["bad"].values()) == 2
     assert record["lost"] > 0
     assert set(record["skipped"]) == {"CAN FD frame", "remote frame"}
     assert f"line {number}:" in said[0].err
 
 
-def test_the_same_first_bad_line(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_same_first_bad_line(log: Path, tmp_path: Path, printed: Printed) -> None:
     spoil(log, 0.95)
     number = spoil(log, 0.7)
     said = []
     for jobs in (1, 3):
-        assert decode(log, "--strict", "-o", tmp_path / "a[1].csv", "--jobs", jobs) == 1
-        said.append(capsys.readouterr().err)
+        said.append(printed(1, f"decode -q {log} --strict -o {tmp_path}/a[1].csv --jobs {jobs}").err)
         assert [*tmp_path.iterdir()] == [log]
     assert said[1] == said[0]
     assert f"{log}: line {number}:" in said[0]

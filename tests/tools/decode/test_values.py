@@ -1,6 +1,5 @@
 """What `tipforce decode` writes equals what cantools reads, in every format."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 from cantools.database.can import Database
 
-from tools.decode.logs import decode, log_lines, number, records_of, rows_of, write_log
+from tools.decode.logs import decode, log_lines, number, rows_of, write_log
+from tools.rig import Printed
 
 DBC = Path(__file__).parents[3] / "dbc" / "tipforce.dbc"
 UNITS = {"N": "_N", "degree": "_deg", "microstrain": "_ue", "degC": "_degC"}
@@ -90,34 +90,32 @@ def test_parquet_equals_csv(log: Path, tmp_path: Path) -> None:
     assert [f"{t // 10**6}.{t % 10**6:06d}" for t in times] == [row["t_s"] for row in rows]
 
 
-def test_json_lines_equal_csv(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_lines_equal_csv(log: Path, tmp_path: Path, printed: Printed) -> None:
     assert decode(log, "-o", tmp_path / "run.csv") == 0
-    assert decode(log, "--json") == 0
     rows = rows_of(tmp_path / "run.csv")
-    records = records_of(capsys.readouterr().out)
+    records = printed(0, f"decode {log} --json").records
     assert len(records) == len(rows)
     for record, row in zip(records, rows, strict=True):
         for name, value in record.items():
             assert (None if value is None else float(value)) == number(row[name]), name
 
 
-def test_counter_is_unwrapped_and_losses_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_counter_is_unwrapped_and_losses_are_told(tmp_path: Path, printed: Printed) -> None:
     lines = [line for k, line in enumerate(log_lines(600, (5,), loss=0.0)) if not 900 <= k < 912]  # four samples
     log = write_log(tmp_path / "run.log", lines)
-    assert decode(log, "-o", tmp_path / "run.csv", "--json") == 0
-    summary = json.loads(capsys.readouterr().out)
+    (summary,) = printed(0, f"decode {log} -o {tmp_path}/run.csv --json").records
     counters = [int(row["counter"]) for row in rows_of(tmp_path / "run.csv")]
     assert counters == [k for k in range(5, 605) if not 305 <= k < 309]
     assert [node["lost"] for node in summary["nodes"]] == [4]
     assert summary["samples"] == summary["nodes"][0]["samples"] == 596
 
 
-def test_missing_values_are_told_by_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_values_are_told_by_reason(tmp_path: Path, printed: Printed) -> None:
     frames = ["285#0080008000800204", "285#0000008000800205", "285#0080008000800A06", "285#E80300800080030A"]
     lines = [f"(1700000000.{k:06d}) can0 {frame}" for k, frame in enumerate(frames)]
     lines.append("(1700000000.000010) can0 185#0100010001000310")
-    assert decode(write_log(tmp_path / "a.log", lines), "--summary", "--json") == 0
-    node = json.loads(capsys.readouterr().out)["nodes"][0]
+    log = write_log(tmp_path / "a.log", lines)
+    node = printed(0, f"decode {log} --summary --json").records[0]["nodes"][0]
     assert node["missing"]["P_N"] == {"stale": 1, "unknown": 1, "no_frame": 1}
     assert node["missing"]["phi_deg"] == {"no_frame": 1, "stale": 1, "no_contact": 2, "unknown": 1}
     assert node["missing"]["SG1_ue"] == {"no_frame": 4}

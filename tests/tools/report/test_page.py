@@ -9,7 +9,6 @@ import sys
 from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
 import pytest
 from bench.documents import filled, section
@@ -18,7 +17,6 @@ from tipforce_lab.report import page
 from tipforce_lab.report.study import Effort, LeftOut, Report, Study
 from tipforce_lab.report.text import Cell, advice_table, verdict
 from tipforce_tools.cli.common import json_line
-from tipforce_tools.cli.main import main
 from tools.report import made
 from tools.report.made import cases, grid, study
 from tools.rig import Printed
@@ -190,14 +188,9 @@ def sound(monkeypatch: pytest.MonkeyPatch) -> None:
     made.install(monkeypatch, {"alpha": made.module(one_study("alpha")), "beta": made.module(one_study("beta"))})
 
 
-def records(capsys: pytest.CaptureFixture[str]) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-
-
 @pytest.mark.usefixtures("sound")
-def test_json_lines_tell_everything(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["report", "--json", "--quick", "--date", "2026-01-31", "--seed", "5"]) == 1
-    head, *rest = records(capsys)
+def test_json_lines_tell_everything(printed: Printed) -> None:
+    head, *rest = printed(1, "report --json --quick --date 2026-01-31 --seed 5").records
     assert rest[-1]["record"] == "verdict"
     assert "2 of 6 claims" in rest[-1]["verdict"][0]
     assert (head["record"], head["date"], head["quick"], head["seed"]) == ("report", "2026-01-31", True, 5)
@@ -228,11 +221,8 @@ def test_text_names_what_did_not_hold(printed: Printed) -> None:
         ("*.b*", [], ["area.bounded", "other.broken"]),
     ],
 )
-def test_only_runs_what_is_named(
-    capsys: pytest.CaptureFixture[str], only: str, studies: list[str], keys: list[str]
-) -> None:
-    main(["report", "--json", "--only", only])
-    found = records(capsys)
+def test_only_runs_what_is_named(printed: Printed, only: str, studies: list[str], keys: list[str]) -> None:
+    found = printed({0, 1}, ["report", "--json", "--only", only]).records
     assert [one["key"] for one in found if one["record"] == "study"] == studies
     assert [one["key"] for one in found if one["record"] == "case"] == keys
 
@@ -244,12 +234,10 @@ def test_a_key_that_names_nothing_is_refused(printed: Printed, only: str) -> Non
 
 
 @pytest.mark.usefixtures("sound")
-def test_list_runs_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["report", "--list"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+def test_list_runs_nothing(printed: Printed) -> None:
+    lines = printed(0, "report --list").out.splitlines()
     assert [line.split()[0] for line in lines[:4]] == ["alpha", "beta", "stability", "area.pass"]
-    assert main(["report", "--list", "--json"]) == 0
-    assert {"key": "alpha", "kind": "study", "what": "about alpha"} in records(capsys)
+    assert {"key": "alpha", "kind": "study", "what": "about alpha"} in printed(0, "report --list --json").records
 
 
 def test_a_missing_package_leaves_a_study_out_and_says_what_to_install(
@@ -263,12 +251,9 @@ def test_a_missing_package_leaves_a_study_out_and_says_what_to_install(
     assert "1 left out (fem)" in out
 
 
-def test_a_study_that_fails_is_a_line_and_an_exit_code(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_study_that_fails_is_a_line_and_an_exit_code(monkeypatch: pytest.MonkeyPatch, printed: Printed) -> None:
     made.install(monkeypatch, {"bad": made.module(failing), "beta": made.module(one_study("beta"))}, with_cases=False)
-    assert main(["report", "--json"]) == 1
-    _, lack, study, told = records(capsys)
+    _, lack, study, told = printed(1, "report --json").records
     assert told["verdict"][-1] == "Failed: bad."
     assert (lack["record"], lack["key"], lack["failed"]) == ("left out", "bad", True)
     assert "ZeroDivisionError in failing()" in lack["reason"]
@@ -287,10 +272,9 @@ def test_without_matplotlib_the_page_is_refused_before_anything_runs(
 
 
 @pytest.mark.usefixtures("sound")
-def test_the_page_is_written_where_it_is_asked_for(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_the_page_is_written_where_it_is_asked_for(printed: Printed, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    assert main(["report", "--only", "alpha", "-o", str(tmp_path / "a" / "b")]) == 0
+    assert "index.html" in printed(0, f"report --only alpha -o {tmp_path}/a/b").err
     assert {path.name for path in (tmp_path / "a" / "b").iterdir()} == {"alpha.svg", "index.html", "report.jsonl"}
-    assert "index.html" in capsys.readouterr().err
     (tmp_path / "file").write_text("")
-    assert main(["report", "--only", "alpha", "-o", str(tmp_path / "file")]) == 2
+    printed(2, f"report --only alpha -o {tmp_path}/file")

@@ -4,7 +4,7 @@ import struct
 from collections.abc import Iterable
 
 from canopen_conformance import steps as do
-from canopen_conformance.case import NotApplicableError, Service, check
+from canopen_conformance.case import NotApplicableError, Service, check, need
 from canopen_conformance.cases import pdo
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import EMCY, PDO, REMOTE_FLAG, START, STATES, Abort
@@ -88,23 +88,18 @@ emcy("history_read_only 7.5.2.4: entries cannot be written", (*HISTORY, (0x1003,
 
 def check_on(dut: Dut) -> None:
     """End a case about a device that sends no EMCY by default."""
-    if dut.integer("I", 0x1014) & pdo.INVALID:
-        raise NotApplicableError("1014h: EMCY is switched off")
+    need(not dut.integer("I", 0x1014) & pdo.INVALID, "1014h: EMCY is switched off")
 
 
-def switch_off(dut: Dut) -> None:
-    """Make the EMCY object invalid."""
-    dut.put("I", 0x1014, 0, pdo.INVALID | 0x80 + dut.node_id)
-
-
+own_id = do.late(lambda dut, flags=0: flags | 0x80 + dut.node_id)
+switch_off = do.put("I", 0x1014, 0, own_id(pdo.INVALID))  # makes the EMCY object invalid
 emcy("default 7.5.2.17: the default CAN-ID is 080h + node-id", NEEDS,
-    check_on, lambda dut: dut.holds("I", 0x1014, 0, 0x80 + dut.node_id))
+    check_on, do.holds("I", 0x1014, 0, own_id()))
 emcy("switched_off 7.5.2.17: with bit 31 set there is no EMCY, but register and history", HISTORY,
     make_error, cure_error, clear, switch_off, break_sync, do.holds("B", 0x1001, 0, 0x11), do.holds("B", 0x1003, 0, 1),
     do.silence(EMCY))
 emcy("moved_while_valid 7.5.2.17: another CAN-ID while the object exists: 06090030h", NEEDS,
-    check_on, do.refuses("I", 0x1014, 0, 0x390, Abort.INVALID_VALUE),
-    lambda dut: dut.holds("I", 0x1014, 0, 0x80 + dut.node_id))
+    check_on, do.refuses("I", 0x1014, 0, 0x390, Abort.INVALID_VALUE), do.holds("I", 0x1014, 0, own_id()))
 emcy("moved 7.5.2.17: switched off, moved, switched on", NEEDS,
     switch_off, do.put("I", 0x1014, 0, 0x390), break_sync, do.expect(0x390, "40 82 *"), do.silence(EMCY))
 for value in (0x000, 0x07F, 0x101, 0x581, 0x601, 0x6E0, 0x701, 0x20000390, 0x40000390, 0x00001390):

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from functools import partial
 
 from canopen_conformance import steps as do
-from canopen_conformance.case import NotApplicableError, Service, check
+from canopen_conformance.case import NotApplicableError, Service, check, need
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE, STOP
 
@@ -61,12 +61,6 @@ def configuring(dut: Dut) -> Iterator[None]:
     check(data[0] == 0x44, "7E4#44...", data.hex(" "))
     with then_waiting(dut):
         yield
-
-
-def in_configuration(dut: Dut) -> bool:
-    """Whether the device answers what only the configuration state answers."""
-    say(dut, 0x5E)
-    return dut.heard(SLAVE, 30) is not None
 
 
 case("global_configuration 6.3.1: switch state global, configuration: inquiries are answered", IDENTITY,
@@ -132,8 +126,7 @@ def renumbered(dut: Dut, node_id: int) -> Iterator[None]:
         say(dut, 0x11, node_id)
         answer = dut.expect(SLAVE).data
     check(node_id == UNCONFIGURED or not answer[1], "the node-id to be taken", answer.hex(" "))
-    if answer[1]:
-        raise NotApplicableError("node-id 255 is refused")
+    need(not answer[1], "node-id 255 is refused")
     try:
         dut.nmt(RESET_COMMUNICATION)
         dut.node_id = node_id
@@ -177,8 +170,7 @@ def ranges(dut: Dut, part: int = 0, step: int = 0) -> list[int]:
     """The six numbers that this device alone fits, with a step more of one part."""
     numbers = [dut.identity[k] for k in (0, 1, 2, 2, 3, 3)]
     numbers[part] += step
-    if not 0 <= numbers[part] <= 0xFFFFFFFF:
-        raise NotApplicableError("the identity lies at the end of the range")
+    need(0 <= numbers[part] <= 0xFFFFFFFF, "the identity lies at the end of the range")
     return numbers
 
 
@@ -255,8 +247,7 @@ def boots(dut: Dut) -> None:
 
 def start_scan(dut: Dut) -> None:
     """Begin fastscan; not applicable for a device without it."""
-    if not scan(dut, 0, START_SCAN, 0, 0):
-        raise NotApplicableError("no fastscan")
+    need(scan(dut, 0, START_SCAN, 0, 0), "no fastscan")
 
 
 @unnumbered("6.6.4: fastscan finds all 128 bits and leads to configuration", IDENTITY, persistent=True)
@@ -273,7 +264,8 @@ def fastscan(dut: Dut) -> None:
             scanned(dut, True, number, 0, part, (part + 1) % 4)
             numbers.append(number)
         check(numbers == dut.identity, str(dut.identity), str(numbers))
-        check(in_configuration(dut), "the configuration state", "no answer to an inquiry")
+        say(dut, 0x5E)
+        check(dut.heard(SLAVE, 30), "the configuration state", "no answer to an inquiry")
 
 
 changed = do.late(lambda dut, part, bits=0: dut.identity[part] ^ bits)

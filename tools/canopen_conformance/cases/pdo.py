@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from itertools import pairwise, product
 
 from canopen_conformance import steps as do
-from canopen_conformance.case import NotApplicableError, Service, check
+from canopen_conformance.case import Service, check, need
 from canopen_conformance.dut import LAST_DATA_TYPE, Dut
 from canopen_conformance.wire import EMCY, ENTER_PRE_OPERATIONAL, OPERATIONAL, PDO, RESET_COMMUNICATION, START, Abort
 
@@ -80,14 +80,13 @@ def start_tpdo1(dut: Dut, /, transmission: int = 1, *words: int, **timing: int |
 def check_mapped(dut: Dut) -> None:
     """End a case about a TPDO1 that maps nothing, or what the device does not have: it sends no frame."""
     count = dut.integer("B", 0x1A00, 0)
-    if not count:
-        raise NotApplicableError("TPDO1 maps no object")
+    need(count, "TPDO1 maps no object")
     for sub in range(1, count + 1):
         word = dut.integer("I", 0x1A00, sub)
         index, bits = word >> 16, word & 0xFF
         data = dut.try_read(index, word >> 8 & 0xFF) if index > LAST_DATA_TYPE else 0
-        if isinstance(data, int) or bits not in (8 * len(data), 1):
-            raise NotApplicableError(f"TPDO1 maps {word:08X}h, which no object of the device fits")
+        fits = isinstance(data, bytes) and bits in (8 * len(data), 1)
+        need(fits, f"TPDO1 maps {word:08X}h, which no object of the device fits")
 
 
 def mapped_rpdo1(dut: Dut, *words: int, transmission: int = 255, event_ms: int = 0) -> None:
@@ -220,8 +219,8 @@ for communication, _, name in BOTH:
 
 @parameters("7.5.2.37: sub-index 4 of {2} is reserved: 06090011h", EITHER, each=BOTH)
 def reserved_sub(dut: Dut, communication: int, _mapping: int, _name: str) -> None:
-    if dut.exists(communication, 4):
-        raise NotApplicableError(f"{communication:04X}h:04 is the compatibility entry of older versions of CiA 301")
+    older = f"{communication:04X}h:04 is the compatibility entry of older versions of CiA 301"
+    need(not dut.exists(communication, 4), older)
     dut.refuses("B", communication, 4, 0, Abort.NO_SUB)
 
 
@@ -230,7 +229,6 @@ for communication, _, name in BOTH:
     parameters(f"moved_while_valid 7.5.2.35: {name}: another CAN-ID while it is valid: 06090030h", EITHER,
         do.run(enable_pdo, communication), do.unchanged(((communication, 1),),
             do.refuses("I", communication, 1, other_id(communication), Abort.INVALID_VALUE)))
-for communication, _, name in BOTH:
     parameters(f"moved 7.5.2.35: {name}: disabled, moved, enabled", EITHER,
         do.run(lambda dut, index: dut.holds("I", index, 1, move_pdo(dut, index)), communication))
 
@@ -264,8 +262,7 @@ for (communication, mapping, name), (sub, what) in product(BOTH, ((0, "the numbe
 @parameters("7.5.2.36: {2}: an entry is not written while sub-index 0 is not 0", EITHER, each=BOTH)
 def entry_while_mapped(dut: Dut, communication: int, mapping: int, _name: str) -> None:
     disable_pdo(dut, communication)
-    if not dut.integer("B", mapping, 0):
-        raise NotApplicableError("the PDO maps no object")
+    need(dut.integer("B", mapping, 0), "the PDO maps no object")
     dut.refuses("I", mapping, 1, dut.integer("I", mapping, 1), *WHILE_VALID)
 
 

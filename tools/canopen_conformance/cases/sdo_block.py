@@ -4,7 +4,7 @@ import binascii
 import struct
 
 from canopen_conformance import steps as do
-from canopen_conformance.case import CheckError, NotApplicableError, Service, check
+from canopen_conformance.case import NotApplicableError, Service, check, need
 from canopen_conformance.cases.sdo import BEAT, NAMES, UPLOADED, not_written, unknown
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import SDO, STOP, Abort
@@ -19,8 +19,7 @@ download = Service("sdo_block_download")
 def initiate(dut: Dut, index: int, block_size: int, switch: int = 0, crc: bool = True) -> bytes:
     """Initiate a block upload; not applicable where the device knows no block transfer."""
     answer = dut.ask(struct.pack("<BHBBB", 0xA4 if crc else 0xA0, index, 0, block_size, switch))
-    if unknown(answer):
-        raise NotApplicableError("no SDO block transfer")
+    need(not unknown(answer), "no SDO block transfer")
     return answer
 
 
@@ -30,10 +29,10 @@ def begin_block_upload(dut: Dut, block_size: int, crc: bool = True, start: bool 
         data = dut.try_read(index)
         if isinstance(data, bytes) and len(data) > 7:
             answer = initiate(dut, index, block_size, crc=crc)
-            if answer[0] & 0xF9 != 0xC0 or answer[1:4] != struct.pack("<HB", index, 0):
-                raise CheckError(f"C0h (with bits 1, 2) and {index:04X}h", answer.hex(" "))
-            if answer[0] & 2 and answer[4:] != struct.pack("<I", len(data)):
-                raise CheckError(f"size {len(data)}", answer[4:].hex(" "))
+            right = answer[0] & 0xF9 == 0xC0 and answer[1:4] == struct.pack("<HB", index, 0)
+            check(right, f"C0h (with bits 1, 2) and {index:04X}h", answer.hex(" "))
+            right = not answer[0] & 2 or answer[4:] == struct.pack("<I", len(data))
+            check(right, f"size {len(data)}", answer[4:].hex(" "))
             dut.upload_index, dut.data = index, data
             if start:
                 dut.request("A3")
@@ -68,8 +67,8 @@ def end_block_upload(dut: Dut, crc: bool = True) -> None:
     unused = -len(dut.data) % 7
     answer = dut.answer(lambda d: d[0] & 0xE3 == 0xC1)
     wanted = binascii.crc_hqx(dut.data, 0) if crc else 0
-    if answer[0] >> 2 & 7 != unused or struct.unpack("<H", answer[1:3])[0] != wanted:
-        raise CheckError(f"{unused} bytes unused, CRC {wanted:04X}h", answer.hex(" "))
+    right = answer[0] >> 2 & 7 == unused and struct.unpack("<H", answer[1:3])[0] == wanted
+    check(right, f"{unused} bytes unused, CRC {wanted:04X}h", answer.hex(" "))
     dut.request("A1")
     dut.silence(SDO)
 
@@ -148,10 +147,9 @@ def begin_block_download(dut: Dut, index: int, size: int | None, crc: bool = Tru
     """Initiate a block download; the block size that the server asks for."""
     command = 0xC0 | (4 if crc else 0) | (0 if size is None else 2)
     answer = dut.ask(struct.pack("<BHBI", command, index, 0, size or 0))
-    if unknown(answer):
-        raise NotApplicableError("no SDO block transfer")
-    if answer[0] & 0xFB != 0xA0 or answer[1:4] != struct.pack("<HB", index, 0) or not 1 <= answer[4] <= 127:
-        raise CheckError(f"A0h or A4h, {index:04X}h, a block size of 1 to 127", answer.hex(" "))
+    need(not unknown(answer), "no SDO block transfer")
+    right = answer[0] & 0xFB == 0xA0 and answer[1:4] == struct.pack("<HB", index, 0) and 1 <= answer[4] <= 127
+    check(right, f"A0h or A4h, {index:04X}h, a block size of 1 to 127", answer.hex(" "))
     return answer[4]
 
 

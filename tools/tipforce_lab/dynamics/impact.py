@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray, floats
 from tipforce.errors import InputError, needing
+from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.dynamics.first_order_hold import State, checked_loads
 from tipforce.sensor.dynamics.model import Modes
 from tipforce_lab.dynamics.switched import March, SlitStop, Switched, Touch
@@ -47,8 +48,7 @@ class Striker:
     @property
     def direction(self) -> FloatArray:
         """F per newton of contact force, (3,)."""
-        phi = self.theta_rad + math.pi
-        return np.array([math.sin(phi), math.sin(phi - self.theta_rad), math.cos(phi)])
+        return force_vector(1.0, self.theta_rad + math.pi, self.theta_rad)
 
 
 RIGID_GROUND = Modes(np.zeros(0), np.zeros(0), np.zeros((0, 3)), np.zeros((3, 0)), np.zeros((3, 0)))

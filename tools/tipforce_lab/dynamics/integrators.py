@@ -200,8 +200,7 @@ def closed_form(modes: Modes, wave: Wave, times_s: npt.ArrayLike) -> FloatArray:
     if not during.all():
         at_end, speed_at_end = _forced(modes, wave, np.array([wave.until_s]))
         z = np.vstack((z, free(modes, State(at_end[0], speed_at_end[0]), t[~during] - wave.until_s)[0]))
-    elastic: FloatArray = z @ modes.force_shape.T
-    return elastic
+    return z @ modes.force_shape.T
 
 
 def _forced(modes: Modes, wave: Wave, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:

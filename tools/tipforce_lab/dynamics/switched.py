@@ -18,6 +18,7 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
+from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.dynamics.model import Modes, compliances
 from tipforce.sensor.structure.plane_frame import EULER_BERNOULLI, PAPER_SLIT_M, Frame
 from tipforce.sensor.structure.strain import Geometry
@@ -208,8 +209,7 @@ class March:
 
 
 def _moved(A: FloatArray, state: FloatArray, tau: float) -> FloatArray:
-    moved: FloatArray = exponential(A * tau) @ state
-    return moved
+    return exponential(A * tau) @ state
 
 
 def _root(A: FloatArray, state: FloatArray, row: FloatArray, low: float, high: float) -> float:
@@ -282,7 +282,7 @@ def slit_stop(geometry: Geometry, modes: Modes) -> SlitStop:
 def contact_fractions(frame: Frame) -> FloatArray:
     """Return the places along an arm, (k,), that together close as early as the whole slit, within CLOSE_ENOUGH."""
     phi, theta = (grid.ravel() for grid in np.meshgrid(_SENSES, _SENSES[:19]))
-    F = np.stack((np.sin(phi), np.sin(phi - theta), np.cos(phi)), axis=-1)
+    F = force_vector(1.0, phi, theta)
     closures = (frame.slit_closure(_FRACTIONS) @ F.T).max(axis=0)  # of the arm that closes first, (fractions, loads)
     most = closures.max(axis=0)
     near = most > SMALLEST_CLOSURE * most.max()

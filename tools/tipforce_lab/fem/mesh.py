@@ -114,8 +114,7 @@ class Outline:
 
     def tip_top_m(self, x_m: npt.ArrayLike) -> FloatArray:
         """Return y of the arc at x, |x| <= half_width_m."""
-        result: FloatArray = np.sqrt(self.tip_radius_m**2 - np.asarray(x_m, dtype=np.float64) ** 2)
-        return result
+        return np.sqrt(self.tip_radius_m**2 - np.asarray(x_m, dtype=np.float64) ** 2)
 
     def rectangles(self) -> list[Rectangle]:
         """Return the body without the tip and without fillets: parts that touch but do not overlap."""

@@ -143,8 +143,7 @@ def _loads(model: Model, mesh: Any, basis: Any, sides: Any) -> FloatArray:
         raise InputError(f"{patch!r} contains too few sides of the mesh: use a wider patch or a finer mesh")
     # F = (Fy, M / r, Fx), equation (16).
     wanted = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, model.outline.geometry.r_m, 0.0]])
-    result: FloatArray = trial @ np.linalg.solve(resultants, wanted)
-    return result
+    return trial @ np.linalg.solve(resultants, wanted)
 
 
 def _resultant(basis: Any, unknowns: Any, forces: FloatArray) -> FloatArray:
@@ -155,8 +154,7 @@ def _resultant(basis: Any, unknowns: Any, forces: FloatArray) -> FloatArray:
     along_y = np.concatenate([basis.nodal_dofs[1], basis.facet_dofs[1]])
     rigid[0, along_x], rigid[2, along_x] = 1.0, -y[along_x]
     rigid[1, along_y], rigid[2, along_y] = 1.0, x[along_y]
-    result: FloatArray = rigid[:, unknowns] @ forces
-    return result
+    return rigid[:, unknowns] @ forces
 
 
 class Face(NamedTuple):
@@ -172,15 +170,13 @@ class Face(NamedTuple):
     def displacement(self, s_m: npt.ArrayLike) -> FloatArray:
         """Return the displacement along the face (..., 3) at s_m (...), which lie on the face."""
         side, t, change, bulge = self._side(s_m)
-        result: FloatArray = self.ends[side] + t * change + 4.0 * t * (1.0 - t) * bulge
-        return result
+        return self.ends[side] + t * change + 4.0 * t * (1.0 - t) * bulge
 
     def strain(self, s_m: npt.ArrayLike) -> FloatArray:
         """Return the strain (..., 3) at points s_m (...). It diverges at corners as the mesh is refined."""
         side, t, change, bulge = self._side(s_m)
         length = (self.s_m[side + 1] - self.s_m[side])[..., np.newaxis]
-        result: FloatArray = (change + 4.0 * (1.0 - 2.0 * t) * bulge) / length
-        return result
+        return (change + 4.0 * (1.0 - 2.0 * t) * bulge) / length
 
     def _side(self, s_m: npt.ArrayLike) -> tuple[npt.NDArray[np.intp], FloatArray, FloatArray, FloatArray]:
         """Return the side of each point, the place on it (..., 1), and along it change and bulge of displacement."""

@@ -201,12 +201,10 @@ def plotting() -> AbstractContextManager[None]:
 
 def figure(study: Study) -> Figure:
     """Draw error against time, both logarithmic, with quartiles, the error of the reference, and a legend below."""
-    from matplotlib.figure import Figure
-
     errors = [error for series in study.series for point in series.points for error in (point.error, point.rms_error)]
     floor = _ZERO_BELOW * min((error for error in errors if error and math.isfinite(error)), default=1.0)
     lines = len(study.series) + 1  # and the band
-    drawn = Figure(figsize=(_WIDTH_INCH, _AXES_INCH + _LEGEND_LINE_INCH * lines))
+    drawn = figures.new_figure(_WIDTH_INCH, _AXES_INCH + _LEGEND_LINE_INCH * lines)
     axes, unit = drawn.subplots(), study.error_unit
     if len(unit) >= 46:  # longer than the axis: two lines
         middle = min((match.start() for match in re.finditer(" ", unit)), key=lambda at: abs(at - len(unit) / 2))

@@ -5,15 +5,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.errors import InputError, needing
 from tipforce_robots.learning.observations import observation, observation_space
 from tipforce_robots.mujoco.models import grasp_model
 from tipforce_robots.mujoco.twin import Fingertips
 
-try:
+with needing('gymnasium is not installed: pip install "tipforce[gymnasium]"'):
     import gymnasium
-except ImportError:
-    raise EnvironmentLackError('gymnasium is not installed: pip install "tipforce[gymnasium]"') from None
 import mujoco
 
 MOST_NEWTONS = 6.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from math import isfinite
 from typing import TYPE_CHECKING
 
@@ -26,7 +27,7 @@ _IDLE_S = 0.2  # the longest wait: bounds the time until a stop request is seen
 _LONGEST_LAG_S = 0.2
 
 
-class TwinNodes:
+class TwinNodes(AbstractContextManager["TwinNodes"]):
     """``tips`` as nodes on ``bus`` at the time of ``data``, until the block ends. Call ``exchange`` after each step, or
     let ``follow_sync`` (reproducible) or ``follow_clock`` step. ``on_frame`` gets received (COB-ID, data)."""
 
@@ -83,9 +84,6 @@ class TwinNodes:
     def close(self) -> None:
         """Send the last frame of each node, as one that is switched off."""
         say_stopped(self._tips.devices, self._port)
-
-    def __enter__(self) -> TwinNodes:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -10,7 +10,7 @@ import numpy as np
 
 from canopen_device.core.node import Device
 from canopen_device.running.loop import MemoryStore
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.errors import InputError, needing
 from tipforce.fingertip.node import Fingertip, fingertip_node
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.samples import reasons
@@ -21,10 +21,8 @@ from tipforce.sensor import FABRICATED, strain_matrix
 from tipforce.sensor.contact import scalar
 from tipforce.sources.simulated import SimulatedSource
 
-try:
+with needing('MuJoCo is not installed: pip install "tipforce[mujoco]"'):
     import mujoco
-except ImportError:
-    raise EnvironmentLackError('MuJoCo is not installed: pip install "tipforce[mujoco]"') from None
 
 if TYPE_CHECKING:
     from canopen_device.core.node import Frame

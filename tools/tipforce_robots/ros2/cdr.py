@@ -53,7 +53,7 @@ def text_of(kind: str) -> str:
 
 @cache
 def fields_of(kind: str) -> tuple[Field, ...]:
-    """Return the fields of a message, without its constants."""
+    """Return the fields of a message, without its constants; of one without fields the one that rosidl adds."""
     fields = []
     for line in text_of(kind).splitlines():
         words = line.partition("#")[0].split()
@@ -63,7 +63,7 @@ def fields_of(kind: str) -> tuple[Field, ...]:
             package, slash, name = base.partition("/")
             full_name = f"{package}/msg/{name}" if slash and "/" not in name else base
             fields.append(Field(words[1], full_name, count))
-    return tuple(fields)
+    return tuple(fields) or (_NEEDED,)
 
 
 def with_dependencies(kind: str) -> str:
@@ -119,7 +119,7 @@ class Layout:
         return np.frombuffer(bytearray(bytes(self._template) * count), dtype=self._dtype)
 
     def _walk(self, kind: str, prefix: str) -> None:
-        for field in fields_of(kind) or (_NEEDED,):
+        for field in fields_of(kind):
             path = prefix + field.name
             if path in self._constants or field.kind == "string":
                 _put(self._template, field.kind, field.size, self._constants[path])
@@ -156,9 +156,7 @@ def _put(out: bytearray, kind: str, size: int | None, value: Any) -> None:
             _put(out, kind, 1, item)
     elif "/" in kind:
         for field in fields_of(kind):
-            _put(out, field.kind, field.size, value[field.name])
-        if not fields_of(kind):
-            out.append(0)
+            _put(out, field.kind, field.size, 0 if field is _NEEDED else value[field.name])
     elif kind == "string":
         data = value.encode() + b"\0"
         _primitive(out, "uint32", len(data))

@@ -142,5 +142,4 @@ def idl_type(kind: str) -> type[IdlStruct]:
         if field.size != 1:
             value = _SEQUENCE[value] if field.size is None else _ARRAY[value, field.size]
         annotations[field.name] = value
-    annotations = annotations or {"structure_needs_at_least_one_member": types.uint8}
     return make_idl_struct(f"{name}_", f"{package}.msg.dds_.{name}_", annotations)

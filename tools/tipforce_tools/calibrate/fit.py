@@ -109,15 +109,11 @@ def add_apply_arguments(parser: argparse.ArgumentParser) -> None:
     """
     parser.add_argument("--no-store", action="store_true", help="apply only until the next reset")
     common.add_confirm_argument(parser)
-    _add_transfer(parser)
+    add_verify_arguments(parser)
 
 
 def add_verify_arguments(parser: argparse.ArgumentParser) -> None:
     """Exit code 1 if the node's active calibration differs from the file: a line for each difference."""
-    _add_transfer(parser)
-
-
-def _add_transfer(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=common.InputFile("calibration "), metavar="CAL.toml")
     parser.add_argument("--node", "--node-id", type=common.node_id, required=True, metavar="ID", help="1 to 127")
     bus_flags.add_bus_arguments(parser, sdo=True)

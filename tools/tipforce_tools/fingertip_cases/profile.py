@@ -3,7 +3,7 @@
 import math
 
 from canopen_conformance import steps as do
-from canopen_conformance.case import NotApplicableError, Service, check
+from canopen_conformance.case import Service, check, need
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import Abort
 from tipforce.dictionary import table
@@ -32,8 +32,7 @@ def channel(dut: Dut, part: str) -> int:
 
 def uncalibrated(dut: Dut) -> None:
     """Cases about a device without calibration need one."""
-    if dut.integer("I", 0x2103, 3):
-        raise NotApplicableError("the device is calibrated (`tipforce node --uncalibrated` is not)")
+    need(not dut.integer("I", 0x2103, 3), "the device is calibrated (`tipforce node --uncalibrated` is not)")
 
 
 count, sub_of = do.late(gauges), do.late(channel)

@@ -6,14 +6,13 @@ import math
 from argparse import Namespace
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from tipforce.arrays import BoolArray, FloatArray
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.errors import InputError, needing
 from tipforce.host.dataset.reader import tables_of_logs
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording
@@ -61,8 +60,8 @@ def plot(args: Namespace) -> int:
     path = Path(args.output)
     names = log_choice.logs(args.logs)
     check_output(path, figure_kind(path, FIGURES), names)
-    if find_spec("matplotlib") is None:
-        raise EnvironmentLackError("a plot needs matplotlib: pip install 'tipforce[plot]'")
+    with needing("a plot needs matplotlib: pip install 'tipforce[plot]'"):
+        import matplotlib  # noqa: F401
     layouts, calibrations = log_choice.layouts(args)
     contact, computed = None, frozenset[str]()
     if calibrations:  # the contact is estimated from gauges

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -98,7 +98,7 @@ def join_widened(paths: Sequence[Path], output: Path, schema: Any, channel: str)
             path.unlink()
 
 
-class Parts:
+class Parts(AbstractContextManager["Parts"]):
     """One file to write. New columns begin a new part; ``finish`` merges the parts, an error in ``with`` drops them. A
     thread encodes a row group while the next one is gathered: pyarrow does it without the interpreter's lock."""
 
@@ -110,9 +110,6 @@ class Parts:
         self._rows = 0
         self._thread = ThreadPoolExecutor(1)
         self._encoded: Future[None] | None = None
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is not None:

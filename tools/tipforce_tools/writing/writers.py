@@ -3,9 +3,10 @@
 import glob
 import os
 from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import BinaryIO, Self
+from typing import BinaryIO
 
 from canopen_device.visible_text import visible_lines
 from tipforce.errors import EnvironmentLackError, InputError
@@ -116,7 +117,7 @@ Pieces = list[tuple[int, int]]
 """From which byte of a part on rows have how many columns."""
 
 
-class JoinedFile:
+class JoinedFile(AbstractContextManager["JoinedFile"]):
     """One output from the files of its parts, in order, which any process may write; a ``with`` block joins them."""
 
     def __init__(self, file: NewFile, kind: str, shape: Shape) -> None:
@@ -171,9 +172,6 @@ class JoinedFile:
         else:
             self._parts.append(pieces)
         self._added += 1
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         """Join the parts, unless an error occurred, and remove them. Raises OSError."""
