@@ -4,8 +4,8 @@ from functools import cache
 
 from canopen_conformance import case
 from canopen_conformance.case import Case
-from canopen_conformance.dut import Dut
-from canopen_conformance.run import Result, run_case
+from canopen_conformance.run import Result
+from canopen_conformance.run import run_in_process as run_on_core
 from canopen_conformance.wire import Core, CoreLink
 from canopen_device.core.node import Device
 from canopen_device.testing import MemoryStore
@@ -29,9 +29,7 @@ def matching(pattern: str) -> list[Case]:
 
 
 def run_in_process(case: Case, device: Core | None = None) -> tuple[Result, CoreLink]:
-    """Run a case on a device core that has not run yet, with the fake clock."""
-    link = CoreLink(core_node() if device is None else device)
-    return run_case(case, Dut(link, NODE_ID, fingertip_cases.FINGERTIP), persistent=True), link
+    return run_on_core(case, core_node() if device is None else device, NODE_ID, fingertip_cases.FINGERTIP)
 
 
 def core_node() -> Device:

@@ -5,9 +5,9 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
-from canopen_conformance.case import Case, CheckError, LostDeviceError, NotApplicableError
+from canopen_conformance.case import Case, CheckError, LostDeviceError, NotApplicableError, Product
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import RESET_NODE
+from canopen_conformance.wire import RESET_NODE, Core, CoreLink
 
 PASS, FAIL, NOT_APPLICABLE = "pass", "FAIL", "not applicable"
 _LAST_FRAMES = 40  # the end of a long exchange shows the failure
@@ -65,6 +65,12 @@ def run_on(dut: Dut, cases: Iterable[Case], persistent: bool) -> Iterator[Result
         raise LostDeviceError(f"the node no longer boots after the case {case.name}: {failure}") from failure
     finally:
         dut.nmt(RESET_NODE)
+
+
+def run_in_process(case: Case, device: Core, node_id: int, product: Product | None = None) -> tuple[Result, CoreLink]:
+    """Run a case on a device core that has not run yet, with the fake clock."""
+    link = CoreLink(device)
+    return run_case(case, Dut(link, node_id, product), persistent=True), link
 
 
 def listing(cases: Iterable[Case]) -> str:

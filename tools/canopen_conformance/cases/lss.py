@@ -63,6 +63,12 @@ def configuring(dut: Dut) -> Iterator[None]:
         yield
 
 
+def in_configuration(dut: Dut) -> bool:
+    """Whether the device answers what only the configuration state answers."""
+    say(dut, 0x5E)
+    return dut.heard(SLAVE, 30) is not None
+
+
 case("global_configuration 6.3.1: switch state global, configuration: inquiries are answered", IDENTITY,
     do.within(then_waiting, do.run(say, 0x04, 1), do.run(say, 0x5E), slave_answer))
 case("global_waiting 6.3.1: switch state global, waiting: inquiries are not answered", IDENTITY,
@@ -264,8 +270,7 @@ def fastscan(dut: Dut) -> None:
             scanned(dut, True, number, 0, part, (part + 1) % 4)
             numbers.append(number)
         check(numbers == dut.identity, str(dut.identity), str(numbers))
-        say(dut, 0x5E)
-        check(dut.heard(SLAVE, 30), "the configuration state", "no answer to an inquiry")
+        check(in_configuration(dut), "the configuration state", "no answer to an inquiry")
 
 
 changed = do.late(lambda dut, part, bits=0: dut.identity[part] ^ bits)
