@@ -9,15 +9,16 @@ from contextlib import contextmanager
 from datetime import datetime, timedelta
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import InputError, needing
-from tipforce.host.dataset.manifest import NO_DATE, Manifest
 from tipforce.host.dataset.store import FOLDER, Store
-from tipforce.host.decoding.services import NO_TIME
 from tipforce_tools.cli import common
 from tipforce_tools.cli.common import shown_id
 from tipforce_tools.cli.listening import counted
+
+if TYPE_CHECKING:
+    from tipforce.host.dataset.manifest import Manifest
 
 
 def add_show_arguments(parser: argparse.ArgumentParser) -> None:
@@ -97,6 +98,9 @@ def record(store: Store, manifest: Manifest, wrong: dict[str, str]) -> dict[str,
 
 
 def _nodes(manifest: Manifest) -> dict[tuple[str, int], tuple[int, int, int, int]]:
+    from tipforce.host.dataset.manifest import NO_DATE
+    from tipforce.host.decoding.services import NO_TIME
+
     found: dict[tuple[str, int], tuple[int, set[str], int, int]] = {}
     for file in manifest.files():
         hand, date = (text.split("=", 1)[1] for text in file.path.split("/")[1:3])
@@ -117,6 +121,8 @@ def _calibrations(manifest: Manifest) -> list[tuple[tuple[str, int], list[tuple[
 
 
 def _s(t_ns: int) -> float | None:
+    from tipforce.host.decoding.services import NO_TIME
+
     return None if t_ns == NO_TIME else t_ns / 1e9
 
 
