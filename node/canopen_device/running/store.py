@@ -28,7 +28,7 @@ class FileStore:
 
     A save replaces the lower number: temporary file, fsync, rename, fsync of the directory. A corrupt slot is logged,
     and the other applies; without an intact one the readable groups are returned: the device checks the CRC of each.
-    Raises InputError if ``path`` is a directory, in none, or a text of others, which a save would replace."""
+    Raises InputError if ``path`` is a directory or in none, or a text that no store wrote: a save would replace it."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path = Path(path).absolute()

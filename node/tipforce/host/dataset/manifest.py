@@ -22,7 +22,7 @@ from tipforce.host.decoding.sample_table import Column
 
 ROWS, EVENTS = "rows", "events"
 FORMAT, CHANGED_FORMAT = 2, 3
-"""Of a generation that holds everything, and of one that holds what changed."""
+"""Of a generation's file that holds everything, and of one that holds what changed."""
 _NAME = "manifest-{:010d}.json"
 NO_DATE = "__HIVE_DEFAULT_PARTITION__"
 """Of a log without times; query engines read it as null."""
