@@ -11,6 +11,7 @@ import can
 import msgspec
 import pytest
 
+from canopen_device.core import codes
 from canopen_device.core.node import Device
 from host.bus_with_nodes import FaultyBus, beam_calibration, connected, finger, new_channel, running
 from tipforce.dictionary import objects as od
@@ -44,6 +45,17 @@ def hand_of(*devices: Device) -> Iterator[tuple[Bus, FaultyBus]]:
         yield connection, bus
 
 
+def lose(bus: FaultyBus, service: int, count: int) -> None:
+    """Lose the first responses to an LSS service."""
+    number = itertools.count()
+
+    def fault(message: can.Message) -> can.Message | None:
+        lost = message.arbitration_id == codes.LSS_RESPONSE_COB_ID and message.data[0] == service
+        return None if lost and next(number) < count else message
+
+    bus.fault = fault
+
+
 def up(connection: Bus, hand: HandFile) -> tuple[list[FingerReport], list[Event]]:
     events: list[Event] = []
     return bring_up(connection, hand, events.append)[0], events
@@ -70,12 +82,27 @@ def test_five_unconfigured_nodes_are_up_within_three_seconds(tmp_path: Path) -> 
         assert all("already active" in event.text for event in events if event.kind == "calibrated")
 
 
-def test_a_lost_response_to_lss_is_no_absent_node(tmp_path: Path) -> None:
+@pytest.mark.parametrize("service", [codes.LSS_SELECTED, codes.LSS_INQUIRE_NODE_ID, codes.LSS_NODE_ID])
+def test_a_lost_response_to_lss_is_no_absent_node(tmp_path: Path, service: int) -> None:
     with hand_of(node(255, 30, tmp_path)) as (connection, bus):
-        number = itertools.count()
-        bus.fault = lambda message: None if message.arbitration_id == 0x7E4 and not next(number) else message
+        lose(bus, service, 1)
         reports, _ = up(connection, plan((8, 30), folder=tmp_path))
         assert [str(report) for report in reports if not report.ok] == []
+
+
+@pytest.mark.parametrize("serials", [(30, 20), (0, 0)])
+@pytest.mark.parametrize("service", [codes.LSS_INQUIRE_NODE_ID, codes.LSS_NODE_ID])
+def test_one_that_fails_in_lss_does_not_take_the_next_ones_node_id(
+    tmp_path: Path, serials: tuple[int, int], service: int
+) -> None:
+    """The first that was found is still selected when it is given up."""
+    with hand_of(node(255, 30, tmp_path), node(255, 20, tmp_path)) as (connection, bus):
+        lose(bus, service, 2)
+        reports, _ = up(connection, plan((8, serials[0]), (9, serials[1]), folder=tmp_path))
+        assert [report.failed for report in reports] == ["find", ""]
+        assert "within 0.4 s" in reports[0].error
+        if serials[0]:
+            assert connection.sdo(9).read(od.IDENTITY_SERIAL) == 20
 
 
 def test_without_serials_ids_are_given_in_the_order_of_the_file(tmp_path: Path) -> None:

@@ -254,7 +254,6 @@ def _configure_found(master: LssMaster, node_ids: Sequence[int | None], *, store
         if store:
             master.store()
         _print_lss(address, node_id, store)
-        master.release()
 
 
 def _configure_addressed(master: LssMaster, address: Identity, node_id: int | None, store: bool) -> None:

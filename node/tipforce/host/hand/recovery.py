@@ -211,10 +211,7 @@ class Recovery:
             for plan in lost:
                 moved = unconfigured  # whoever has no node-id may be a finger without a serial
                 if plan.serial:
-                    moved = select(master, plan) is not None
-                    if moved:
-                        moved = master.node_id() != plan.node_id
-                        master.release()
+                    moved = select(master, plan) is not None and master.node_id() != plan.node_id
                 if moved:
                     absent.append(plan)
         if absent:

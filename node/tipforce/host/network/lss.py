@@ -28,6 +28,7 @@ class LssMaster(AbstractContextManager["LssMaster"]):
     def __init__(self, connection: Bus, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
         self._connection = connection
         self._timeout_s = timeout_s
+        self._timeouts_s = (timeout_s, 4.0 * timeout_s)  # of what may be asked again: a response may be late, or lost
         self._awaited: tuple[int, Future[bytes]] | None = None
         connection.dispatcher.subscribe(codes.LSS_RESPONSE_COB_ID, self._on_answer)
 
@@ -36,7 +37,8 @@ class LssMaster(AbstractContextManager["LssMaster"]):
         self._connection.dispatcher.unsubscribe(codes.LSS_RESPONSE_COB_ID, self._on_answer)
 
     def release(self) -> None:
-        """Set all nodes to the waiting state; one with its first node-id boots with it now (CiA 305, 6.3.2)."""
+        """Set all nodes to the waiting state; one with its first node-id boots with it now (CiA 305, 6.3.2). Every
+        search begins so: a node whose response was late is selected, and would take the node-id of the next."""
         self._send(codes.LSS_SWITCH_GLOBAL, b"\x00")
 
     def any_unconfigured(self) -> bool:
@@ -46,6 +48,7 @@ class LssMaster(AbstractContextManager["LssMaster"]):
     def fastscan(self, known: Sequence[int] = ()) -> Identity | None:
         """Find one node without a node-id, in configuration state then; None if there is none. ``known`` starts the
         address (vendor, product, ...): a request for each part instead of each bit (CiA 305, 6.7)."""
+        self.release()
         if not self._matches(0, codes.LSS_START_FASTSCAN, 0, 0):
             return None
         parts = [0, 0, 0, 0]
@@ -59,7 +62,7 @@ class LssMaster(AbstractContextManager["LssMaster"]):
     def _scanned(self, sub: int) -> int | None:
         """Return a part of the address, bit by bit; None if no node has it. Silence is a bit of 1, and so is a late
         response: then the part is not confirmed, and is scanned again with more patience."""
-        for timeout_s in (self._timeout_s, 4.0 * self._timeout_s):
+        for timeout_s in self._timeouts_s:
             part = 0
             for bit in range(31, -1, -1):
                 if not self._matches(part, bit, sub, sub, timeout_s):
@@ -73,25 +76,26 @@ class LssMaster(AbstractContextManager["LssMaster"]):
 
     def select(self, address: Identity) -> bool:
         """Set the node with this address to the configuration state, node-id or not; False without a response."""
+        self.release()
         for k, part in enumerate((address.vendor, address.product, address.revision)):
             self._send(codes.LSS_SELECT_FIRST + k, struct.pack("<I", part))
         return self._ask(codes.LSS_SELECT_LAST, struct.pack("<I", address.serial), codes.LSS_SELECTED) is not None
 
     def node_id(self) -> int:
         """Return the node-id of the selected node; 255 for none. Raises NoResponseError."""
-        return self._required(codes.LSS_INQUIRE_NODE_ID, b"", "its node-id", self._timeout_s)[1]
+        return self._required(codes.LSS_INQUIRE_NODE_ID, b"", "its node-id")[1]
 
     def configure_node_id(self, node_id: int) -> None:
         """Assign a node-id, valid from the next reset, to the selected node. Raises NoResponseError, RefusedError."""
         if not 1 <= node_id <= 127:
             raise InputError(f"node-id {node_id}: allowed are 1 to 127")
-        answer = self._required(codes.LSS_NODE_ID, bytes((node_id,)), f"node-id {node_id}", self._timeout_s)
+        answer = self._required(codes.LSS_NODE_ID, bytes((node_id,)), f"node-id {node_id}")
         if answer[1]:
             raise RefusedError(f"LSS: the node rejected node-id {node_id} (error {answer[1]})")
 
     def store(self) -> None:
         """Let the selected node store node-id and bit rate. Raises NoResponseError, RefusedError."""
-        answer = self._required(codes.LSS_STORE, b"", "storing", STORE_TIMEOUT_S)
+        answer = self._required(codes.LSS_STORE, b"", "storing", (STORE_TIMEOUT_S,))
         if answer[1]:
             raise RefusedError(f"LSS: the node did not store: {_STORE_ERRORS.get(answer[1], f'error {answer[1]}')}")
 
@@ -99,11 +103,12 @@ class LssMaster(AbstractContextManager["LssMaster"]):
         payload = struct.pack("<IBBB", number, bit_check, sub, following)
         return self._ask(codes.LSS_FASTSCAN, payload, codes.LSS_IDENTIFIED, timeout_s) is not None
 
-    def _required(self, service: int, payload: bytes, what: str, timeout_s: float) -> bytes:
-        answer = self._ask(service, payload, service, timeout_s)
-        if answer is None:
-            raise NoResponseError(f"LSS: no response to {what} within {timeout_s:g} s")
-        return answer
+    def _required(self, service: int, payload: bytes, what: str, timeouts_s: Sequence[float] = ()) -> bytes:
+        for timeout_s in timeouts_s or self._timeouts_s:
+            answer = self._ask(service, payload, service, timeout_s)
+            if answer is not None:
+                return answer
+        raise NoResponseError(f"LSS: no response to {what} within {timeout_s:g} s")
 
     def _ask(self, service: int, payload: bytes, expected: int, timeout_s: float | None = None) -> bytes | None:
         answer: Future[bytes] = Future()
