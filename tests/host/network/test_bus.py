@@ -165,7 +165,7 @@ def test_a_response_among_other_frames_is_found() -> None:
         assert lss.node_id() == 5
 
 
-@pytest.mark.parametrize("lost", [3, 70, 110])
+@pytest.mark.parametrize("lost", [3, 70, 110, 118])  # 118: the last of all
 def test_a_response_that_is_late_is_no_bit_of_the_address(lost: int) -> None:
     """The wait for a response ends before it: silence, which stands for a bit of 1."""
     responses = itertools.count()

@@ -61,15 +61,21 @@ class LssMaster(AbstractContextManager["LssMaster"]):
 
     def _scanned(self, sub: int) -> int | None:
         """Return a part of the address, bit by bit; None if no node has it. Silence is a bit of 1, and so is a late
-        response: then the part is not confirmed, and is scanned again with more patience."""
+        response: then the part is not confirmed, and is scanned again with more patience, unless only the last response
+        was late: a node that is selected says its serial number."""
         for timeout_s in self._timeouts_s:
             part = 0
             for bit in range(31, -1, -1):
                 if not self._matches(part, bit, sub, sub, timeout_s):
                     part |= 1 << bit
-            if self._ends(part, sub, timeout_s):
+            if self._ends(part, sub, timeout_s) or (sub == 3 and self._selected_serial() == part):
                 return part
         return None
+
+    def _selected_serial(self) -> int | None:
+        service = codes.LSS_INQUIRE_FIRST + 3
+        answer = self._ask(service, b"", service, self._timeouts_s[-1])
+        return None if answer is None else int.from_bytes(answer[1:5], "little")
 
     def _ends(self, part: int, sub: int, timeout_s: float | None = None) -> bool:
         return self._matches(part, 0, sub, (sub + 1) % 4, timeout_s)
