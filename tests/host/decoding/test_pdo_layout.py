@@ -129,7 +129,9 @@ def test_a_foreign_dbc_equals_cantools(tmp_path: Path) -> None:
     path.write_text(FOREIGN)
     database = cantools.database.load_file(path)
     assert isinstance(database, Database)
-    messages = dbc_messages(path)
+    said: list[str] = []
+    messages = dbc_messages(path, said.append)
+    assert said == [f"{path}: 1 left out (multiplexed signals, messages over 8 bytes): m0"]
     assert messages[0, "Motor"][0] == 2566834709 & 0x1FFFFFFF | EXTENDED_FLAG
     assert [signal.name for signal in messages[0, "Choice"][1].signals] == ["select"]
     can_ids = [can_id for can_id, _ in messages.values()] + [0x18FEF101 | EXTENDED_FLAG, 1]

@@ -213,9 +213,9 @@ NARROW = {0: ("B", 4), 1: ("H", 0x1F5), 2: ("H", 1), 3: ("H", 1), 4: ("H", 1)}
 
 @pytest.fixture(scope="module")
 def bus() -> Iterator[tuple[Bus, FaultyBus]]:
-    """Nodes 5 (calibrated), 6 (not), 7 (stopped); 20 to 22 are foreign."""
+    """Nodes 5 (calibrated), 6 (not), 7 (stopped); 20 to 23 are foreign."""
     devices = [finger(5), finger(6), finger(7)]
-    others = [foreign(20, COMPLETE), foreign(21, MINIMAL), foreign(22, NARROW)]
+    others = [foreign(20, COMPLETE), foreign(21, MINIMAL), foreign(22, NARROW), foreign(23, {})]
     with connected(*devices, *others, timeout_s=0.3, retries=1) as (connection, faulty):
         for node_id in (5, 6, 7):
             connection.sdo(node_id).write(od.HEARTBEAT_PRODUCER_MS, 20)
@@ -233,7 +233,7 @@ def connection(bus: tuple[Bus, FaultyBus]) -> Iterator[Bus]:
 
 def test_who_is_there_and_how(connection: Bus) -> None:
     found = {node.node_id: node for node in find_nodes(connection, range(1, 128), WAIT_S)}
-    assert list(found) == [5, 6, 7, 20, 21, 22]
+    assert list(found) == [5, 6, 7, 20, 21, 22, 23]
     crc = beam_calibration().crc32()
     assert found[5] == FoundNode(
         5, "pre-operational", "simulated fingertip, 3 gauges", 1005, f"0x{crc:08X} generation 1", "match",
@@ -246,8 +246,9 @@ def test_who_is_there_and_how(connection: Bus) -> None:
     assert found[20] == FoundNode(
         20, "pre-operational", "product 0x0000CAFE", 99, "not a fingertip", "no: another device", product=0xCAFE
     )
-    assert found[21].device == "no identity object"
+    assert (found[21].device, found[21].calibration) == ("of vendor 0x000001F5", "not a fingertip")
     assert found[22].device == "unknown object format"
+    assert found[23].device == "no identity object"
 
 
 def test_only_the_node_ids_asked_for(connection: Bus) -> None:

@@ -18,6 +18,7 @@ from tipforce.host.decoding.log_part import Reading, When
 from tipforce.host.decoding.pdo_layout import Layouts, dcf_layout, node_layout, signals_named, with_layouts
 from tipforce.shipped_files import file_or_shipped
 from tipforce_tools.cli import bus_flags
+from tipforce_tools.cli.common import note
 from tipforce_tools.cli.log_flags import eds_files
 
 if TYPE_CHECKING:
@@ -121,5 +122,5 @@ def reading(args: Namespace, names: Sequence[str], chosen: Layouts, signals: tup
 
 def checked_signals(chosen: Layouts, names: tuple[str, ...] | None) -> tuple[str, ...] | None:
     """Return the signals of the names. Raises InputError, also for incompatible layouts."""
-    decoder = chosen.decoder()
+    decoder = chosen.decoder(say=note)
     return None if names is None else signals_named(decoder, names)

@@ -97,14 +97,14 @@ def _default(layouts: Layouts) -> Iterable[str]:
 
 
 def _signals(wanted: Iterable[str], layouts: Layouts, computed: frozenset[str]) -> frozenset[str]:
-    signals: set[str] = set()
+    signals, rest = set[str](), list[str]()
     for name in wanted:
         if name == GAUGES:
             signals |= {f"SG{k + 1}" for k in range(layouts.gauges)}
         elif name != STATUS:
             known = name.rpartition("_")[0] if name in {"P_N", "phi_deg", "theta_deg"} else name
-            signals.add(known if known in computed else (log_choice.checked_signals(layouts, (known,)) or (known,))[0])
-    return frozenset(signals)
+            signals.add(known) if known in computed else rest.append(known)
+    return frozenset(signals.union(log_choice.checked_signals(layouts, tuple(rest)) or ()))
 
 
 def _check(args: Namespace, fingers: Fingers, notes: Sequence[LogNotes]) -> None:

@@ -85,9 +85,10 @@ def _layout(place: str, node_id: int, number: Callable[[int, int], int | None]) 
     return NodeLayout(node_id, gauges, pdos)
 
 
-def dbc_messages(path: str | Path) -> dict[Key, tuple[int, Message]]:
+def dbc_messages(path: str | Path, say: Callable[[str], object] = str) -> dict[Key, tuple[int, Message]]:
     """Return the messages of a DBC for ``Decoder.of_messages``: tipforce's TIP05_Contact has the key (5, "Contact"),
-    any other (0, name). "unknown" becomes NaN, multiplexed signals are skipped. Raises InputError."""
+    any other (0, name). "unknown" becomes NaN; ``say`` gets what is left out, multiplexed signals and messages over 8
+    bytes. Raises InputError."""
     import cantools
 
     try:
@@ -100,6 +101,11 @@ def dbc_messages(path: str | Path) -> dict[Key, tuple[int, Message]]:
     if messages is None or not hasattr(database, "get_message_by_frame_id"):
         raise InputError(f"{path}: contains no CAN messages")
     alike: dict[Message, Message] = {}  # one object per layout, so that nodes are decoded together
+    left_out = [s.name for m in messages if m.length <= 8 for s in m.signals if s.multiplexer_ids]
+    left_out += [message.name for message in messages if message.length > 8]
+    if left_out:
+        shown = f"{', '.join(left_out[:3])}{', ...' if len(left_out) > 3 else ''}"
+        say(f"{path}: {len(left_out)} left out (multiplexed signals, messages over 8 bytes): {shown}")
     layouts = (_dbc_message(path, message) for message in messages if message.length <= 8)
     return {key: (can_id, alike.setdefault(layout, layout)) for key, can_id, layout in layouts}
 
@@ -167,11 +173,11 @@ class Layouts:
     pdos: tuple[tuple[int, tuple[tuple[str, int, tuple[tuple[int, int, int], ...]], ...]], ...] = ()
     eds: EdsFiles = ()
 
-    def decoder(self, services: bool = False) -> Decoder:
+    def decoder(self, services: bool = False, say: Callable[[str], object] = str) -> Decoder:
         """Return a separate decoder for each bus. Raises InputError for incompatible layouts. ``services``: of EMCY and
-        heartbeats too (``health``), except for a DBC."""
+        heartbeats too (``health``), except for a DBC. ``say``: see ``dbc_messages``."""
         if self.dbc is not None:
-            given = dbc_messages(self.dbc)
+            given = dbc_messages(self.dbc, say)
             return Decoder.of_messages({k: v for k, v in given.items() if self.nodes is None or k[0] in self.nodes})
         nodes = range(1, 128) if self.nodes is None else self.nodes
         if self.eds:

@@ -121,7 +121,7 @@ def _identified(finger: Finger, node: FoundNode) -> FoundNode:
     identity = finger.identity()
     node = replace(node, serial=identity.serial, product=identity.product)
     if not identity.is_fingertip:
-        device = f"product 0x{identity.product:08X}"
+        device = f"product 0x{identity.product:08X}" if identity.product else f"of vendor 0x{identity.vendor:08X}"
         return replace(node, device=device, calibration="not a fingertip", eds="no: another device")
     crc = finger.sdo.read(od.CALIBRATION_ACTIVE_CRC)
     generation = finger.sdo.read(od.CALIBRATION_GENERATION)

@@ -134,9 +134,16 @@ class Finger:
             return self._reader
 
     def identity(self) -> Identity:
-        """Return the identity of the node."""
-        parts = (od.IDENTITY_VENDOR, od.IDENTITY_PRODUCT, od.IDENTITY_REVISION, od.IDENTITY_SERIAL)
-        return Identity(*(self.sdo.read(part) for part in parts))
+        """Return the identity of the node; 0 for each part that it lacks: the vendor alone is mandatory (CiA 301)."""
+        vendor, parts = self.sdo.read(od.IDENTITY_VENDOR), list[int]()
+        for part in (od.IDENTITY_PRODUCT, od.IDENTITY_REVISION, od.IDENTITY_SERIAL):
+            try:
+                parts.append(self.sdo.read(part))
+            except SdoAbortError as error:
+                if error.code != codes.NO_SUB:
+                    raise
+                parts.append(0)
+        return Identity(vendor, *parts)
 
     def calibration(self) -> Calibration | None:
         """Return the active calibration, read back over SDO; None if the node has none. Raises RefusedError if the
