@@ -1,6 +1,6 @@
 """Deliberate faults in the device: each is noticed by a case; and what the standard permits is no failure."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -238,17 +238,19 @@ def test_the_reason_names_what_the_device_refuses(name: str, reason: str) -> Non
     assert (result.verdict, result.reason) == (NOT_APPLICABLE, reason)
 
 
-def test_minimal_device_never_crashes_a_case() -> None:
+@pytest.mark.parametrize(("constant_ms", "passed", "failed"), [(0, 80, range(1, 20)), (100, 40, [0])])
+def test_minimal_device_never_crashes_a_case(constant_ms: int, passed: int, failed: Sequence[int]) -> None:
+    """Without segments, and with a constant 1017h, whose cases of a download do not apply."""
     verdicts = []
     for case in all_cases():
-        result, _link = run_in_process(case, MinimalDevice())
+        result, _link = run_in_process(case, MinimalDevice(constant_ms))
         verdicts.append(result.verdict)
         if result.verdict == NOT_APPLICABLE:
             assert result.reason
         else:
-            passed = result.verdict == PASS or case.name.startswith(LACKING)
-            assert passed, "\n".join([case.name, result.reason, *result.log])
+            right = result.verdict == PASS or case.name.startswith(LACKING)
+            assert right, "\n".join([case.name, result.reason, *result.log])
             assert not case.own, f"{case.name}: a case of the fingertip ran on a foreign device"
-    assert verdicts.count(PASS) > 80
+    assert verdicts.count(PASS) > passed
     assert verdicts.count(NOT_APPLICABLE) > 300
-    assert 0 < verdicts.count(FAIL) < 20
+    assert verdicts.count(FAIL) in failed

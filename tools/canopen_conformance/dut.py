@@ -365,6 +365,17 @@ class Dut:
             self._fresh = fresh
         return self._survey[key]
 
+    def constant(self, entries: Sequence[tuple[int, int]], log: Sequence[str]) -> str:
+        """Return which entry refused a write in ``log`` as read-only, and refuses its own value, too; "" for none."""
+        for index, sub in entries:
+            refusal = struct.pack("<BHBI", 0x80, index, sub, Abort.READ_ONLY).hex().upper()
+            if any(line.endswith(refusal) for line in log):
+                with suppress(CheckError):
+                    self.reset()
+                    if self.try_write(index, sub, self.read(index, sub)) == Abort.READ_ONLY:
+                        return f"{index:04X}h:{sub:02X} cannot be written"
+        return ""
+
     def is_of_product(self) -> bool:
         """Return whether 1018h:2 is a product code of ``product``."""
         return self.product is not None and self.product_code & self.product.mask == self.product.code

@@ -36,7 +36,9 @@ def run_case(case: Case, dut: Dut, persistent: bool) -> Result:
     except NotApplicableError as reason:
         return Result(case, NOT_APPLICABLE, str(reason))
     except CheckError as failure:
-        return Result(case, FAIL, str(failure), dut.log[mark:])
+        log = dut.log[mark:]
+        constant = dut.constant(case.needs, log)
+        return Result(case, NOT_APPLICABLE, constant) if constant else Result(case, FAIL, str(failure), log)
     finally:
         del dut.log[:mark]
     return Result(case, PASS)
