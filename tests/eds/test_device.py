@@ -1,5 +1,6 @@
 """Devices made of EDS files: objects, PDOs, storage; each feature of CiA 306-1, and what the device then does."""
 
+import math
 import struct
 import warnings
 from pathlib import Path
@@ -269,7 +270,8 @@ def test_limits_are_enforced_signed_ones_too(tmp_path: Path) -> None:
     talk = Talk(found)
     for value, abort in ((-11, codes.TOO_LOW), (-10, 0), (10, 0), (11, codes.TOO_HIGH)):
         assert talk.download(0x2000, 0, struct.pack("<h", value)) == abort
-    assert talk.download(0x2001, 0, struct.pack("<f", 1.6)) == codes.TOO_HIGH
+    for real, abort in ((1.6, codes.TOO_HIGH), (math.nan, codes.INVALID_VALUE), (-math.inf, 0)):
+        assert talk.download(0x2001, 0, struct.pack("<f", real)) == abort
 
 
 def test_access_types_and_their_pdo_direction(tmp_path: Path) -> None:

@@ -208,8 +208,8 @@ def check(entry: "Entry", value: "Value") -> int:
     # inf - inf and nan - nan are both nan: one test for every non-finite value.
     if kind == "f" and not flags & ANY_FLOAT and value - value != 0.0:  # type: ignore[operator]
         return codes.INVALID_VALUE
-    if high is not None and value > high:  # type: ignore[operator]
-        return codes.TOO_HIGH
-    if low is not None and value < low:  # type: ignore[operator]
-        return codes.TOO_LOW
+    if high is not None and not value <= high:  # type: ignore[operator]
+        return codes.TOO_HIGH if value > high else codes.INVALID_VALUE  # type: ignore[operator]  # NaN
+    if low is not None and not value >= low:  # type: ignore[operator]
+        return codes.TOO_LOW if value < low else codes.INVALID_VALUE  # type: ignore[operator]
     return 0
