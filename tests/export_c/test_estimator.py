@@ -4,6 +4,7 @@ A test that needs a compiler is skipped, and says so, when there is none; `make 
 
 from __future__ import annotations
 
+import ctypes
 import math
 import struct
 import subprocess
@@ -121,6 +122,23 @@ def test_fixed_point_beyond_its_range_is_saturated(both: Both, units: int) -> No
     assert int(fixed["unknown"]) & UNKNOWN == UNKNOWN
     _floating, fixed = both(one([0, 1_000_000, 0], scale=1100.0))  # 1100 N
     assert int(fixed["status"]) == CALIBRATED | scalar.SATURATED
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e-9])
+@pytest.mark.parametrize("place", range(6))
+def test_fixed_point_refuses_what_is_no_covariance(library: Libraries, place: int, value: float) -> None:
+    noise = np.array([1e-14, 0.0, 0.0, 1e-14, 0.0, 1e-14])
+    noise[place] = value
+    fixed, limits = np.zeros(estimators.OPAQUE_BYTES, "u1"), np.array([0.05, 0.03, -80.0, 80.0])
+    numbers = (np.eye(3) * 1e4, np.zeros(3), noise, ctypes.c_double(1e-7), limits, 0)
+    assert library(3, "float")("fixed_setup", fixed, *numbers) & 0xFF == (value == 1e-9 and place in (0, 3, 5))
+
+
+def test_float_functions_of_double_numbers_do_not_compile(tmp_path: Path) -> None:
+    for name, text in c_files(3).items():
+        (tmp_path / name).write_text(text)
+    with pytest.raises(AssertionError, match="tipforce_both_or_none"):
+        gcc("-DTIPFORCE_REAL=double", "-c", tmp_path / "tipforce_float.c", "-o", tmp_path / "float.o")
 
 
 @pytest.mark.parametrize("early", [0, scalar.SATURATED | CALIBRATED, scalar.STALE | CALIBRATED, 0x80 | CALIBRATED])

@@ -305,16 +305,24 @@ static bool directions(const tipforce_record *r, double A[N][3], const int kept[
 static void set_subset(const tipforce_record *r, unsigned lost, tipforce_subset *s)
 {
     double A[N][3], C[3][N], W[N][N], cov[6];
+    tipforce_record weights = *r;
     int kept[N] = {0}, m = 0;
+    bool noisy = false;
     memset(s, 0, sizeof *s);
+    for (int k = 0; k < TIPFORCE_TRIANGLE; k++) {
+        noisy = noisy || r->noise[k] != 0.0;
+    }
     for (int k = 0; k < N; k++) {
+        if (!noisy) { /* gauges of equal noise */
+            weights.noise[place(k, k)] = 1.0;
+        }
         if (!(lost >> k & 1u)) {
             kept[m++] = k;
         }
     }
     memcpy(C, r->C, sizeof C);
-    bool structured = N > 3 && structure(r, A);
-    s->usable = !lost || (structured && m >= 3 && leave_out(r, A, kept, m, C));
+    bool structured = N > 3 && structure(&weights, A);
+    s->usable = !lost || (structured && m >= 3 && leave_out(&weights, A, kept, m, C));
     if (!s->usable) {
         return;
     }
@@ -327,7 +335,7 @@ static void set_subset(const tipforce_record *r, unsigned lost, tipforce_subset 
     for (int i = 0; i < 6; i++) {
         s->cov[i] = (real)cov[i];
     }
-    if (!structured || m < 4 || !(r->redundancy_limit > 0.0) || !directions(r, A, kept, m, W)) {
+    if (!structured || !noisy || m < 4 || !(r->redundancy_limit > 0.0) || !directions(r, A, kept, m, W)) {
         return;
     }
     s->rows = (uint8_t)(m - 3);
@@ -519,7 +527,8 @@ void tipforce_judge_sample(const tipforce_judge *judge, const real strain[N], re
         if (r->converter_limit[k] > 0.0 && fabs((double)strain[k]) >= r->converter_limit[k]) {
             lost |= (uint8_t)(1u << k);
         }
-        v->V[k] = (real)((double)strain[k] - r->offset[k] - kelvin * r->offset_per_K[k]);
+        /* A gauge that is lost may read NaN or infinity: its weight of zero alone would not take that away. */
+        v->V[k] = (unsigned)lost >> k & 1u ? 0 : (real)((double)strain[k] - r->offset[k] - kelvin * r->offset_per_K[k]);
         extra[k] = (real)r->model * v->V[k] * (real)r->model * v->V[k];
     }
     if (lost) {
