@@ -11,12 +11,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+from canopen_device.core.object_dictionary import REAL32_MAX
 from canopen_device.errors import InputError
 from canopen_device.types import Value
 
 if TYPE_CHECKING:
     from canopen_device.eds.description import Entry
     from canopen_device.machine.device import SimulatedDevice
+
+_TIMES_ABOVE_S = {"duration_s": 0.0, "cycle_s": 0.0, "every_s": 1e-5}  # more steps than that would take all the time
 
 
 @dataclass
@@ -145,8 +148,13 @@ class Driver:
         self._device, self.entry, self.signal = device, entry, signal
         if entry.type.python not in (int, float):
             raise InputError(f"{entry.place} {entry.name!r} is {entry.type.name}: a signal sets numbers only")
-        low, high = entry.type.limits or (-math.inf, math.inf)
+        most = REAL32_MAX if entry.letter == "f" else math.inf
+        low, high = entry.type.limits or (-most, most)
         self._low, self._high = low, high
+        for name, above in _TIMES_ABOVE_S.items():
+            if not getattr(signal, name, 1.0) > above:
+                shown = f"{name} {getattr(signal, name)}: allowed is above {above:g}"
+                raise InputError(f"{entry.place} {entry.name!r}: {shown}")
         ends = _extremes(signal)
         if ends and not (low <= min(ends) and max(ends) <= high):
             raise InputError(
