@@ -308,6 +308,7 @@ def test_lely_has_the_same_values_as_bits(tmp_path: Path) -> None:
 
 
 OBJECT = {"name", "objectType", "dataType", "accessType", "lowLimit", "highLimit", "defaultValue", "PDOmapping"}
+OBJECT |= {"objFlags"}
 BODY = {"formatName", "formatVersion", "fileName", "fileCreator", "fileCreationDate", "fileVersion"}
 CHILDREN: dict[str, tuple[list[str], set[str]]] = {  # CiA 311: element -> children in order, attributes
     "co:ISO15745ProfileContainer": (["co:ISO15745Profile"], set()),

@@ -68,6 +68,7 @@ _DOCUMENT = f"""\
       </TransportLayers>
       <NetworkManagement>
         <CANopenGeneralFeatures {{features}} layerSettingServiceSlave="{{lss}}"/>
+{{commissioning}}\
       </NetworkManagement>
     </ProfileBody>
   </co:ISO15745Profile>
@@ -108,8 +109,8 @@ def quoteattr(text: str) -> str:
 
 
 def xdd_text(described: Description, creator: str = "canopen_device") -> str:
-    """Return the XDD of a device; values with $NODEID are written with it. As in the schema, elements that it declares
-    globally have the namespace, those below a type have none."""
+    """Return the XDD of a device, of a DCF the XDC; values with $NODEID are written with it. As in the schema, elements
+    that it declares globally have the namespace, those below a type have none."""
     name = quoteattr(described.path.stem + ".xdd")
     body = f'formatName="CANopen" formatVersion="1.0" fileName={name} fileCreator={quoteattr(creator)}'
     vendor, product = (described.entry(communication.IDENTITY, sub) for sub in (1, 2))
@@ -132,7 +133,14 @@ def xdd_text(described: Description, creator: str = "canopen_device") -> str:
         rates="".join(f'            <supportedBaudRate value="{rate} Kbps"/>\n' for rate in rates),
         features=f'granularity="8" nrOfRxPDO="{rpdos}" nrOfTxPDO="{tpdos}" bootUpSlave="true"',
         lss=str(described.lss).lower(),
+        commissioning=_commissioned(described) if described.is_dcf else "",
     )
+
+
+def _commissioned(dcf: Description) -> str:
+    rate = "" if dcf.bit_rate is None else f' actualBaudRate="{dcf.bit_rate // _KBIT} Kbps"'
+    keys = f'nodeID="{dcf.node_id}" nodeName={quoteattr(dcf.node_name)}{rate}'
+    return f'        <deviceCommissioning {keys} networkNumber="0" networkName="" CANopenManager="false"/>\n'
 
 
 def _object(part: Object, node_id: int) -> list[str]:
@@ -154,6 +162,8 @@ def _attributes(entry: Entry, node_id: int) -> str:
         "DefaultValue": _value(entry, entry.default, node_id) if has_default else None,
         "LowLimit": _value(entry, entry.low, 0),
         "HighLimit": _value(entry, entry.high, 0),
+        "ParameterValue": _value(entry, entry.value, 0),
+        "ObjFlags": f"{entry.flags:04X}" if entry.flags else None,
         "PDOMapping": {0: "no", TPDO: "TPDO", RPDO: "RPDO"}.get(entry.directions, "optional"),
     }
     return "".join(f" {KEYS[key].xdd}={quoteattr(text)}" for key, text in texts.items() if text is not None)
