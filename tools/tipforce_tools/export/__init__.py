@@ -29,6 +29,9 @@ FORMATS = {
     "c": "C99 sources of the dictionary and the estimator, in one folder",
     "mjcf": "body of the fingertip for MuJoCo: outline, mass, tip site, beams as springs",
 }
+_FORMATS_OF = (
+    ("eds", "xdd"), ("settings", "dcf"), ("hand", "ros2"), ("node-id", "dcf, xdd"), ("simulated", "eds, dcf, xdd"),
+)  # fmt: skip
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,7 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = "dcf: TOML or DCF with the settings that are not at their default, as for `config apply`"
     parser.add_argument("--settings", type=common.InputFile(), metavar="FILE", help=what)
     parser.add_argument("--bits", type=int, choices=(16, 24), default=16, help="converter resolution (default 16)")
-    parser.add_argument("--simulated", action="store_true", help="eds, dcf: add 2200h and 2201h of a simulated node")
+    what = "eds, dcf, xdd: add 2200h and 2201h of a simulated node"
+    parser.add_argument("--simulated", action="store_true", help=what)
     what = "eds, dcf, xdd: add 1F50h to 1F57h of firmware with program slots"
     parser.add_argument("--programs", action="store_true", help=what)
     parser.add_argument("--prefix", default="", metavar="TEXT", help="mjcf: in front of every name")
@@ -65,10 +69,11 @@ def run(args: argparse.Namespace) -> int:
     if args.programs and args.format not in ("eds", "dcf", "xdd"):
         others = "the exported C has no program slots, and other formats list no objects"
         raise InputError(f"export {args.format}: --programs is for eds, dcf and xdd; {others}")
-    if args.programs and args.eds:
-        raise InputError("--programs: the objects are those of the file of --eds; leave one out")
-    for name, only in (("eds", "xdd"), ("settings", "dcf"), ("hand", "ros2")):
-        if getattr(args, name) and args.format != only:
+    for name in ("programs", "simulated"):
+        if getattr(args, name) and args.eds:
+            raise InputError(f"--{name}: the objects are those of the file of --eds; leave one out")
+    for name, only in _FORMATS_OF:
+        if getattr(args, name.replace("-", "_")) and args.format not in only.split(", "):
             raise InputError(f"export {args.format}: --{name} is for {only} alone; leave it out")
     converter = table.CONVERTER_24 if args.bits == 24 else table.CONVERTER_16
     if args.format in ("c", "ros2"):
