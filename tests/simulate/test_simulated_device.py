@@ -58,7 +58,7 @@ def test_values_by_index_and_name(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=message):
             device[key] = value
-    with pytest.raises(InputError, match="code 74565, register 1, detail 0: allowed are 1 to 0xFFFF"):
+    with pytest.raises(InputError, match="EMCY 74565, 1, 0: allowed are 1 to 0xFFFF"):
         device.raise_emergency(0x12345)
     assert device[0x1001] == 0
 

@@ -363,6 +363,7 @@ def test_xdd_has_the_structure_of_cia_311(tmp_path: Path) -> None:
         for key, allowed in ALLOWED.items():
             assert one.attrib.get(key, "no" if key == "PDOmapping" else "ro") in allowed
     dcf = exported(tmp_path / "a.dcf", "dcf", "--node-id", "5", "--programs")
+    assert read_eds(exported(tmp_path / "a.xdc", "xdd", "--eds", str(dcf))).node_id == 5
     for description in (read_eds(path, 5), read_eds(eds, 5), read_eds(dcf, 5)):
         assert {0x1F50, 0x1F57} <= set(description.objects)
         assert description.warnings == []

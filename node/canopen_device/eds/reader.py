@@ -38,8 +38,7 @@ def read(path: str | Path) -> EdsFile:
     """Return the sections of an EDS, DCF, XDD or XDC. Raises InputError for what cannot be read, or has none at all."""
     try:
         with open(path, "rb") as stream:
-            size = os.fstat(stream.fileno()).st_size or MOST_BYTES  # 0: a pipe or a device
-            content = stream.read(min(size, MOST_BYTES) + 1)
+            content = stream.read(min(os.fstat(stream.fileno()).st_size or MOST_BYTES, MOST_BYTES) + 1)  # 0: a pipe
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
     if len(content) > MOST_BYTES:

@@ -68,7 +68,7 @@ _DOCUMENT = f"""\
       </TransportLayers>
       <NetworkManagement>
         <CANopenGeneralFeatures {{features}} layerSettingServiceSlave="{{lss}}"/>
-{{commissioning}}\
+{{node}}\
       </NetworkManagement>
     </ProfileBody>
   </co:ISO15745Profile>
@@ -121,6 +121,11 @@ def xdd_text(described: Description, creator: str = "canopen_device") -> str:
         used = [(code, int(code in described.dummies)) for code in range(1, 8)]
         dummies = "".join(f'          <dummy entry="Dummy{code:04X}={flag}"/>\n' for code, flag in used)
         dummies = f"        <dummyUsage>\n{dummies}        </dummyUsage>\n"
+    node = ""
+    if described.is_dcf:
+        rate = "" if described.bit_rate is None else f' actualBaudRate="{described.bit_rate // _KBIT} Kbps"'
+        keys = f'nodeID="{described.node_id}" nodeName={quoteattr(described.node_name)}{rate}'
+        node = f'        <deviceCommissioning {keys} networkNumber="0" networkName="" CANopenManager="false"/>\n'
     rates = [rate // _KBIT for rate in described.bit_rates or (1_000_000,)]
     rpdos, tpdos = (sum(first <= index <= last for index in described.objects) for _, first, last, *_ in PDOS)
     return _DOCUMENT.format(
@@ -133,14 +138,8 @@ def xdd_text(described: Description, creator: str = "canopen_device") -> str:
         rates="".join(f'            <supportedBaudRate value="{rate} Kbps"/>\n' for rate in rates),
         features=f'granularity="8" nrOfRxPDO="{rpdos}" nrOfTxPDO="{tpdos}" bootUpSlave="true"',
         lss=str(described.lss).lower(),
-        commissioning=_commissioned(described) if described.is_dcf else "",
+        node=node,
     )
-
-
-def _commissioned(dcf: Description) -> str:
-    rate = "" if dcf.bit_rate is None else f' actualBaudRate="{dcf.bit_rate // _KBIT} Kbps"'
-    keys = f'nodeID="{dcf.node_id}" nodeName={quoteattr(dcf.node_name)}{rate}'
-    return f'        <deviceCommissioning {keys} networkNumber="0" networkName="" CANopenManager="false"/>\n'
 
 
 def _object(part: Object, node_id: int) -> list[str]:

@@ -146,11 +146,9 @@ class SimulatedDevice:
             self._announce(entry.index, entry.sub)
 
     def raise_emergency(self, code: int, register: int = emcy.GENERIC, detail: int = 0) -> None:
-        """Send an EMCY message and keep the error active: its bits are set in 1001h, and it is in 1003h. Raises
-        InputError for what does not fit the message."""
+        """Send an EMCY message and keep the error active, in 1001h and in 1003h. Raises InputError."""
         if not (1 <= code <= 0xFFFF and 0 <= register <= 0xFF and 0 <= detail <= 0xFFFF):
-            shown = f"code {code}, register {register}, detail {detail}"
-            raise InputError(f"emergency: {shown}: allowed are 1 to 0xFFFF, 0 to 0xFF, 0 to 0xFFFF")
+            raise InputError(f"EMCY {code}, {register}, {detail}: allowed are 1 to 0xFFFF, 0 to 0xFF, 0 to 0xFFFF")
         with self._lock:
             self.core.emcy.raise_error(code, register, detail)
 

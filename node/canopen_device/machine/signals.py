@@ -153,8 +153,8 @@ class Driver:
         self._low, self._high = low, high
         for name, above in _TIMES_ABOVE_S.items():
             if not getattr(signal, name, 1.0) > above:
-                shown = f"{name} {getattr(signal, name)}: allowed is above {above:g}"
-                raise InputError(f"{entry.place} {entry.name!r}: {shown}")
+                given = getattr(signal, name)
+                raise InputError(f"{entry.place} {entry.name!r}: {name} {given}: allowed is above {above:g}")
         ends = _extremes(signal)
         if ends and not (low <= min(ends) and max(ends) <= high):
             raise InputError(

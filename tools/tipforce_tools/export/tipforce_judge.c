@@ -309,16 +309,14 @@ static void set_subset(const tipforce_record *r, unsigned lost, tipforce_subset 
     int kept[N] = {0}, m = 0;
     bool noisy = false;
     memset(s, 0, sizeof *s);
-    for (int k = 0; k < TIPFORCE_TRIANGLE; k++) {
-        noisy = noisy || r->noise[k] != 0.0;
-    }
     for (int k = 0; k < N; k++) {
-        if (!noisy) { /* gauges of equal noise */
-            weights.noise[place(k, k)] = 1.0;
-        }
+        noisy = noisy || r->noise[place(k, k)] > 0.0;
         if (!(lost >> k & 1u)) {
             kept[m++] = k;
         }
+    }
+    for (int k = 0; k < N && !noisy; k++) { /* gauges of equal noise */
+        weights.noise[place(k, k)] = 1.0;
     }
     memcpy(C, r->C, sizeof C);
     bool structured = N > 3 && structure(&weights, A);
@@ -509,7 +507,7 @@ static void judge_force(const tipforce_record *r, double gain, bool overloaded, 
     }
     add(v->cov, warm);
     for (int k = 0; k < N; k++) {
-        v->V[k] /= (real)gain;
+        v->V[k] = (unsigned)v->faults >> k & 1u ? 0 : v->V[k] / (real)gain;
     }
 }
 
@@ -562,11 +560,6 @@ void tipforce_judge_sample(const tipforce_judge *judge, const real strain[N], re
     memcpy(v->C, s->C, sizeof v->C);
     memcpy(v->cov, s->cov, sizeof v->cov);
     add_doubt(r, v, explained, visible);
-    for (int k = 0; k < N; k++) {
-        if ((unsigned)lost >> k & 1u) {
-            v->V[k] = 0;
-        }
-    }
     judge_force(r, gain, overloaded, left, v);
     v->determined = lost != 0 && !v->overloaded;
 }
