@@ -238,9 +238,3 @@ def test_a_parameter_value_without_a_default_is_the_default_of_an_eds(code: int,
     assert "where there is none (1) the ParameterValue" in " ".join(found.warnings)
     stored = described(tmp_path, dcf_text(found, {(0x2001, 0): second.default}), None, "saved.dcf")
     assert (stored.find(0x2000).default, stored.find(0x2001).value) == (first.default, second.default)
-
-
-def test_a_file_without_an_end_is_not_read_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reader, "MOST_BYTES", 1 << 20)
-    with bounded_work(), pytest.raises(InputError, match="/dev/zero: more than 1048576 bytes"):
-        reader.read_eds("/dev/zero", 5)

@@ -124,7 +124,6 @@ def test_the_verdicts_of_c_and_node_are_equal(n: int, real: str, library: Librar
 
 @pytest.mark.parametrize("noise", [1.0, 0.0])
 def test_what_a_lost_gauge_reads_changes_nothing(noise: float, library: Libraries) -> None:
-    """NaN and infinity too; with a covariance of zero the gauges left have equal weights, as on the node."""
     calibration, samples = recorded(5)
     of = replace(calibration, covariance_strain2=noise * calibration.covariance_strain2)
     rest, found = samples[50].microstrains[1:], []

@@ -28,10 +28,6 @@ def test_frames_come_in_order_and_29_bits_are_left_out(pair: tuple[Any, Any]) ->
     bus.coming += [(0x40000705, b""), (0x80000001, b"")]
     assert port.receive() == [(0x123, b"\1\2\3"), (0x7FF, bytes(range(8))), (0, b""), (0x40000705, b"")]
     assert port.receive() == []
-
-
-def test_a_bus_full_of_29_bits_does_not_hold_the_node(pair: tuple[Any, Any]) -> None:
-    port, bus = pair
     bus.coming += RECEIVE_AT_ONCE * [(0x80000123, b"\4")] + [(0x705, b"\5")]
     assert port.receive() == []
     assert port.receive() == [(0x705, b"\5")]

@@ -60,7 +60,6 @@ def test_values_by_index_and_name(tmp_path: Path) -> None:
             device[key] = value
     with pytest.raises(InputError, match="EMCY 74565, 1, 0: allowed are 1 to 0xFFFF"):
         device.raise_emergency(0x12345)
-    assert device[0x1001] == 0
 
 
 def test_a_change_sends_the_event_driven_pdo_after_its_inhibit_time(tmp_path: Path) -> None:
@@ -160,8 +159,6 @@ def test_signals(tmp_path: Path) -> None:
     talk = press(tmp_path, signals={"P2001": Follows(0x2000, gain=1e38)})
     talk.advance(100_000)
     assert talk.device["P2001"] == pytest.approx(3.4028234663852886e38)  # 7e38 ended the loop of all devices
-    with pytest.raises(InputError, match=r"the signal runs from 0 to 1e\+39; REAL32 holds"):
-        press(tmp_path, signals={"P2001": Ramp(0, 1e39)})
     with pytest.raises(InputError, match="a signal sets numbers only"):
         press(tmp_path, signals={0x2002: Ramp()})
 
