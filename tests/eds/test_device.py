@@ -227,8 +227,9 @@ def test_dummy_usage_decides_what_an_rpdo_may_skip(tmp_path: Path, allowed: int)
     assert talk.upload(0x2000) == (b"\x22" if allowed else b"\0")
 
 
-def test_a_dcf_names_its_node_and_starts_with_its_values(tmp_path: Path) -> None:
-    (tmp_path / "table.bin").write_bytes(bytes(range(20)))
+@pytest.mark.parametrize("size", [20, 65534, 65535, 70000])
+def test_a_dcf_names_its_node_and_starts_with_its_values(size: int, tmp_path: Path) -> None:
+    (tmp_path / "table.bin").write_bytes(size * b"x")
     objects = (
         var("2000", 6, "rw", "1", ParameterValue="500"), var("2001", 15, "rw", "", UploadFile="table.bin"),
         var("2002", 6, "ro", "1", ParameterValue="2"), var("1017", 6, "rw", "0", ParameterValue="1000"),
@@ -239,7 +240,7 @@ def test_a_dcf_names_its_node_and_starts_with_its_values(tmp_path: Path) -> None
     talk = Talk(found, MemoryStore())
     od = talk.device.od
     assert od.values[0x200000] == 500
-    assert od.values[0x200100] == bytes(range(20))
+    assert od.values[0x200100] == size * b"x"
     assert od.values[0x200200] == 2
     assert talk.device.lss.bit_rate == 500_000
     talk.advance(1_000_000)

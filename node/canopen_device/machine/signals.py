@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from canopen_device.eds.description import Entry
     from canopen_device.machine.device import SimulatedDevice
 
-_TIMES_ABOVE_S = {"duration_s": 0.0, "cycle_s": 0.0, "every_s": 1e-5}  # more steps than that would take all the time
-
 
 @dataclass
 class Signal:
@@ -151,7 +149,7 @@ class Driver:
         most = REAL32_MAX if entry.letter == "f" else math.inf
         low, high = entry.type.limits or (-most, most)
         self._low, self._high = low, high
-        for name, above in _TIMES_ABOVE_S.items():
+        for name, above in (("duration_s", 0.0), ("cycle_s", 0.0), ("every_s", 1e-5)):  # more steps would take all time
             if not getattr(signal, name, 1.0) > above:
                 given = getattr(signal, name)
                 raise InputError(f"{entry.place} {entry.name!r}: {name} {given}: allowed is above {above:g}")
