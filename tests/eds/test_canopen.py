@@ -147,9 +147,8 @@ CONFIGURED = '<deviceCommissioning nodeID="9" nodeName="axis" actualBaudRate="50
 @pytest.mark.parametrize("name", ["generated", "generated DCF", "cia402", "tipforce-3"])
 def test_an_export_is_read_as_the_same_device(name: str, tmp_path: Path) -> None:
     if name.startswith("generated"):
-        content = GENERATED.replace("DefaultValue=2.5\n", "DefaultValue=2.5\nParameterValue=7.5\n")
-        content += "[DeviceComissioning]\nNodeID=5\nNodeName=axis\nBaudrate=500\n"
-        found = described(tmp_path, content if name.endswith("DCF") else GENERATED)
+        dcf = GENERATED.replace("=2.5\n", "=2.5\nParameterValue=7\n") + "[DeviceComissioning]\nNodeID=5\nBaudrate=500\n"
+        found = described(tmp_path, dcf if name.endswith("DCF") else GENERATED)
     else:
         found = read_eds(shipped_eds("cia402") if name == "cia402" else ROOT / "eds" / f"{name}.eds", 5)
     again = sound(tmp_path, xdd_text(found), name="again.xdd")

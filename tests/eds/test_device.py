@@ -266,13 +266,15 @@ def test_a_dcf_reads_no_file_outside_its_folder(tmp_path: Path, name: str) -> No
 def test_limits_are_enforced_signed_ones_too(tmp_path: Path) -> None:
     found = sound(
         tmp_path,
-        text(var("2000", 3, "rw", "0", LowLimit="0xFFF6", HighLimit="10"), var("2001", 8, "rw", "0", HighLimit="1.5")),
-    )
+        text(var("2000", 3, "rw", "0", LowLimit="0xFFF6", HighLimit="10"), var("2001", 8, "rw", "0", HighLimit="1.5"),
+             var("2002", 8, "rw", "3.4028235E+38", HighLimit="3.4028235E+38")),
+    )  # fmt: skip
     talk = Talk(found)
     for value, abort in ((-11, codes.TOO_LOW), (-10, 0), (10, 0), (11, codes.TOO_HIGH)):
         assert talk.download(0x2000, 0, struct.pack("<h", value)) == abort
     for real, abort in ((1.6, codes.TOO_HIGH), (math.nan, codes.INVALID_VALUE), (-math.inf, 0)):
         assert talk.download(0x2001, 0, struct.pack("<f", real)) == abort
+    assert (talk.upload(0x2002), talk.put("f", 0x2002, 0, math.inf)) == (b"\xff\xff\x7f\x7f", codes.TOO_HIGH)
 
 
 def test_access_types_and_their_pdo_direction(tmp_path: Path) -> None:

@@ -308,7 +308,6 @@ def test_lely_has_the_same_values_as_bits(tmp_path: Path) -> None:
 
 
 OBJECT = {"name", "objectType", "dataType", "accessType", "lowLimit", "highLimit", "defaultValue", "PDOmapping"}
-OBJECT |= {"objFlags"}
 BODY = {"formatName", "formatVersion", "fileName", "fileCreator", "fileCreationDate", "fileVersion"}
 CHILDREN: dict[str, tuple[list[str], set[str]]] = {  # CiA 311: element -> children in order, attributes
     "co:ISO15745ProfileContainer": (["co:ISO15745Profile"], set()),
@@ -334,8 +333,8 @@ CHILDREN: dict[str, tuple[list[str], set[str]]] = {  # CiA 311: element -> child
     "co:characteristicContent": (["label"], set()), "label": ([], {"lang"}),
     "ApplicationLayers": (["co:CANopenObjectList", "dummyUsage"], set()),
     "co:CANopenObjectList": (["CANopenObject"], {"mandatoryObjects", "optionalObjects", "manufacturerObjects"}),
-    "CANopenObject": (["CANopenSubObject"], {"index", "subNumber", *OBJECT}),
-    "CANopenSubObject": ([], {"subIndex", *OBJECT}),
+    "CANopenObject": (["CANopenSubObject"], {"index", "subNumber", "objFlags", *OBJECT}),
+    "CANopenSubObject": ([], {"subIndex", "objFlags", *OBJECT}),
     "dummyUsage": (["dummy"], set()), "dummy": ([], {"entry"}),
     "TransportLayers": (["PhysicalLayer"], set()), "PhysicalLayer": (["baudRate"], set()),
     "baudRate": (["supportedBaudRate"], {"defaultValue"}), "supportedBaudRate": ([], {"value"}),
