@@ -88,9 +88,10 @@ def encode(letter: str, value: Value) -> bytes:
     if kind.python is str:
         if not isinstance(value, str):
             raise InputError(f"{value!r} is not {kind.name}: allowed is text")
-        bad = [c for c in value if letter == "s" and not " " <= c <= "~"]
+        bad = [c for c in value if (not " " <= c <= "~" if letter == "s" else "\ud800" <= c <= "\udfff")]
         if bad:
-            raise InputError(f"{value!r} does not fit {kind.name}: {bad[0]!r} is outside 0x20 to 0x7E")
+            why = "is outside 0x20 to 0x7E" if letter == "s" else "is half of a character"
+            raise InputError(f"{value!r} does not fit {kind.name}: {bad[0]!r} {why}")
         return value.encode("utf-16-le" if letter == "u" else "ascii")
     if not isinstance(value, bytes | bytearray | memoryview):
         raise InputError(f"{value!r} is not {kind.name}: allowed are bytes")

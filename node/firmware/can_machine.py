@@ -2,7 +2,7 @@
 
 from canopen_device.core import codes
 
-from .can_port import CanPort
+from .can_port import EXTENDED, CanPort
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -21,18 +21,15 @@ class MachineCan(CanPort):
         self._can.set_filters(None)
 
     def _next(self) -> "tuple[int, bytes] | None":
-        while True:
-            message = self._can.recv()
-            if message is None:
-                return None
-            can_id, data, flags, errors = message
-            if errors & self._can.RECV_ERR_OVERRUN:
-                self.overrun()
-            if flags & self._can.FLAG_EXT_ID:
-                continue  # this node has no 29-bit identifiers
-            if flags & self._can.FLAG_RTR:
-                return can_id | codes.REMOTE_FLAG, b""
-            return can_id, bytes(data)
+        message = self._can.recv()
+        if message is None:
+            return None
+        can_id, data, flags, errors = message
+        if errors & self._can.RECV_ERR_OVERRUN:
+            self.overrun()
+        if flags & self._can.FLAG_EXT_ID:
+            return EXTENDED
+        return (can_id | codes.REMOTE_FLAG, b"") if flags & self._can.FLAG_RTR else (can_id, bytes(data))
 
     def _put(self, can_id: int, data: bytes) -> bool:
         try:

@@ -10,7 +10,7 @@ import time
 
 from canopen_device.core import codes
 
-from .can_port import STATE_ACTIVE, STATE_OFF, STATE_PASSIVE, STATE_WARNING, CanPort
+from .can_port import EXTENDED, STATE_ACTIVE, STATE_OFF, STATE_PASSIVE, STATE_WARNING, CanPort
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -55,19 +55,18 @@ class Mcp2515(CanPort):
         raise OSError("MCP2515: no response, or it does not change its mode")
 
     def _next(self) -> "tuple[int, bytes] | None":
-        while True:
-            status = self._read(self._one, STATUS)[0]
-            if not status & 3:
-                return None
-            # Both full: buffer 0 is the older one, because buffer 1 fills only while it is full.
-            frame = self._read(self._frame, READ_RX[0] if status & 1 else READ_RX[1])
-            sidl = frame[1]
-            if sidl & 0x08:
-                continue  # 29 bits: this node has no such identifiers
-            can_id = frame[0] << 3 | sidl >> 5
-            if sidl & 0x10:  # SRR: a remote frame with a standard identifier
-                return can_id | codes.REMOTE_FLAG, b""
-            return can_id, bytes(frame[5 : 5 + min(frame[4] & 0x0F, 8)])
+        status = self._read(self._one, STATUS)[0]
+        if not status & 3:
+            return None
+        # Both full: buffer 0 is the older one, because buffer 1 fills only while it is full.
+        frame = self._read(self._frame, READ_RX[0] if status & 1 else READ_RX[1])
+        sidl = frame[1]
+        if sidl & 0x08:
+            return EXTENDED
+        can_id = frame[0] << 3 | sidl >> 5
+        if sidl & 0x10:  # SRR: a remote frame with a standard identifier
+            return can_id | codes.REMOTE_FLAG, b""
+        return can_id, bytes(frame[5 : 5 + min(frame[4] & 0x0F, 8)])
 
     def _put(self, can_id: int, data: bytes) -> bool:
         # Only one of the three buffers is used: at equal priority the chip sends the higher number first.

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 STATE_ACTIVE, STATE_WARNING, STATE_PASSIVE, STATE_OFF = 0, 1, 2, 3
 QUEUE = 160  # frames: a block of an SDO block upload has 127
 RECEIVE_AT_ONCE = 32  # frames per call: leaves time for the node's other work
+EXTENDED = (codes.EXTENDED_FLAG, b"")  # any frame of 29 bits: this node has no such identifiers
 
 _RECEIVE_OVERFLOW = codes.ERROR_FLAG | CONTROLLER, b"\0\x01\0\0\0\0\0\0"
 _SHOWN = {STATE_ACTIVE: ACTIVE, STATE_WARNING: WARNING, STATE_PASSIVE: 0x30}
@@ -55,11 +56,12 @@ class CanPort:
             else:
                 self._news.append((codes.ERROR_FLAG | CONTROLLER, bytes((0, _SHOWN[state], 0, 0, 0, 0, 0, 0))))
         found, self._news = self._news, []
-        while len(found) < RECEIVE_AT_ONCE:
+        for _ in range(RECEIVE_AT_ONCE):
             frame = self._next()
             if frame is None:
                 break
-            found.append(frame)
+            if frame is not EXTENDED:
+                found.append(frame)
         if self._news:  # an overrun is detected while frames are read
             found += self._news
             self._news = []

@@ -2,7 +2,7 @@
 
 from canopen_device.core import codes
 
-from .can_port import CanPort
+from .can_port import EXTENDED, CanPort
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -26,12 +26,12 @@ class PybCan(CanPort):
         can.setfilter(1, can.MASK16, 0, (0, 0, 0, 0), rtr=(True, True))
 
     def _next(self) -> "tuple[int, bytes] | None":
-        while self._can.any(0):
-            can_id, extended, remote, _filter, data = self._can.recv(0, timeout=0)
-            if extended:
-                continue  # this node has no 29-bit identifiers
-            return (can_id | codes.REMOTE_FLAG, b"") if remote else (can_id, bytes(data))
-        return None
+        if not self._can.any(0):
+            return None
+        can_id, extended, remote, _filter, data = self._can.recv(0, timeout=0)
+        if extended:
+            return EXTENDED
+        return (can_id | codes.REMOTE_FLAG, b"") if remote else (can_id, bytes(data))
 
     def _put(self, can_id: int, data: bytes) -> bool:
         # Mailboxes send by identifier, equal ones by mailbox number: using one at a time keeps the order.

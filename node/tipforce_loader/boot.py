@@ -18,14 +18,14 @@ def run() -> None:
         slots = FileProgramSlots(board.PROGRAM_FOLDER)
         programs = Programs(slots, store, board.PROGRAM_KEY, board.PRODUCT, board.VERSION)
         slot = programs.choose()
-        if slot != INSTALLED:
+    try:
+        if board.PROGRAM_KEY and slot != INSTALLED:
             import vfs
 
             from .image import ImageFiles
 
             vfs.mount(ImageFiles(lambda: slots.open(slot, "rb")), _MOUNT)
             sys.path.insert(0, _MOUNT)
-    try:
         __import__(board.MAIN)
     except Exception as error:
         if programs is None or not programs.on_trial:

@@ -167,7 +167,8 @@ def test_any_bytes_of_the_right_length_decode(letter: str, data: bytes) -> None:
 
 
 VALUES = [("B", 1.5), ("B", "1"), ("f", 1e39), ("f", "x"), ("s", 3), ("s", "gr\u00fc\u00df"), ("D", 3), ("D", "00")]
-TEXTS = [("B", "256"), ("B", "ten"), ("B", ""), ("f", "1,5"), ("f", "1e39"), ("D", "0g"), ("B", "1.0")]
+VALUES += [("u", "\udcff")]
+TEXTS = [("B", "256"), ("B", "ten"), ("B", ""), ("f", "1,5"), ("f", "1e39"), ("D", "0g"), ("B", "1.0"), ("u", "\udcff")]
 
 
 @pytest.mark.parametrize(("of", "refused"), [(types.encode, VALUES), (types.parse_value, TEXTS)])

@@ -111,7 +111,8 @@ def test_values_are_those_of_canopen_or_are_reported(tmp_path: Path) -> None:
     assert compared > 150
 
 
-SAME = ("letter", "name", "default", "low", "high", "directions", "has_node_id")
+SAME = ("letter", "name", "default", "low", "high", "directions", "has_node_id", "value", "flags")
+SAME_OF_ALL = ("lss", "dummies", "is_dcf", "node_name", "bit_rate")
 EDITOR = """\
 <?xml version="1.0" encoding="utf-8"?>
 <ISO15745ProfileContainer xmlns="http://www.canopen.org/xml/1.1" xmlns:q1="http://www.canopen.org/xml/1.1">
@@ -143,10 +144,11 @@ EDITOR = """\
 CONFIGURED = '<deviceCommissioning nodeID="9" nodeName="axis" actualBaudRate="500000"/></NetworkManagement>'
 
 
-@pytest.mark.parametrize("name", ["generated", "cia402", "tipforce-3"])
+@pytest.mark.parametrize("name", ["generated", "generated DCF", "cia402", "tipforce-3"])
 def test_an_export_is_read_as_the_same_device(name: str, tmp_path: Path) -> None:
-    if name == "generated":
-        found = described(tmp_path, GENERATED)
+    if name.startswith("generated"):
+        dcf = GENERATED.replace("=2.5\n", "=2.5\nParameterValue=7\n") + "[DeviceComissioning]\nNodeID=5\nBaudrate=500\n"
+        found = described(tmp_path, dcf if name.endswith("DCF") else GENERATED)
     else:
         found = read_eds(shipped_eds("cia402") if name == "cia402" else ROOT / "eds" / f"{name}.eds", 5)
     again = sound(tmp_path, xdd_text(found), name="again.xdd")
@@ -155,7 +157,8 @@ def test_an_export_is_read_as_the_same_device(name: str, tmp_path: Path) -> None
     ]
     found.objects[0x1000].name = "Type \x1b"  # no character of XML
     assert sound(tmp_path, xdd_text(found), name="again.xdd").objects[0x1000].name == r"Type \x1b"
-    assert (again.lss, again.dummies, again.bit_rates) == (found.lss, found.dummies, found.bit_rates or (1_000_000,))
+    assert [getattr(again, key) for key in SAME_OF_ALL] == [getattr(found, key) for key in SAME_OF_ALL]
+    assert again.bit_rates == (found.bit_rates or (1_000_000,))
 
 
 def test_parameters_of_an_editor(tmp_path: Path) -> None:

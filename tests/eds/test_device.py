@@ -227,8 +227,9 @@ def test_dummy_usage_decides_what_an_rpdo_may_skip(tmp_path: Path, allowed: int)
     assert talk.upload(0x2000) == (b"\x22" if allowed else b"\0")
 
 
-def test_a_dcf_names_its_node_and_starts_with_its_values(tmp_path: Path) -> None:
-    (tmp_path / "table.bin").write_bytes(bytes(range(20)))
+@pytest.mark.parametrize("size", [20, 65534, 65535, 70000])
+def test_a_dcf_names_its_node_and_starts_with_its_values(size: int, tmp_path: Path) -> None:
+    (tmp_path / "table.bin").write_bytes(size * b"x")
     objects = (
         var("2000", 6, "rw", "1", ParameterValue="500"), var("2001", 15, "rw", "", UploadFile="table.bin"),
         var("2002", 6, "ro", "1", ParameterValue="2"), var("1017", 6, "rw", "0", ParameterValue="1000"),
@@ -239,7 +240,7 @@ def test_a_dcf_names_its_node_and_starts_with_its_values(tmp_path: Path) -> None
     talk = Talk(found, MemoryStore())
     od = talk.device.od
     assert od.values[0x200000] == 500
-    assert od.values[0x200100] == bytes(range(20))
+    assert od.values[0x200100] == size * b"x"
     assert od.values[0x200200] == 2
     assert talk.device.lss.bit_rate == 500_000
     talk.advance(1_000_000)
@@ -265,13 +266,15 @@ def test_a_dcf_reads_no_file_outside_its_folder(tmp_path: Path, name: str) -> No
 def test_limits_are_enforced_signed_ones_too(tmp_path: Path) -> None:
     found = sound(
         tmp_path,
-        text(var("2000", 3, "rw", "0", LowLimit="0xFFF6", HighLimit="10"), var("2001", 8, "rw", "0", HighLimit="1.5")),
-    )
+        text(var("2000", 3, "rw", "0", LowLimit="0xFFF6", HighLimit="10"), var("2001", 8, "rw", "0", HighLimit="1.5"),
+             var("2002", 8, "rw", "3.4028235E+38", HighLimit="3.4028235E+38")),
+    )  # fmt: skip
     talk = Talk(found)
     for value, abort in ((-11, codes.TOO_LOW), (-10, 0), (10, 0), (11, codes.TOO_HIGH)):
         assert talk.download(0x2000, 0, struct.pack("<h", value)) == abort
     for real, abort in ((1.6, codes.TOO_HIGH), (math.nan, codes.INVALID_VALUE), (-math.inf, 0)):
         assert talk.download(0x2001, 0, struct.pack("<f", real)) == abort
+    assert (talk.upload(0x2002), talk.put("f", 0x2002, 0, math.inf)) == (b"\xff\xff\x7f\x7f", codes.TOO_HIGH)
 
 
 def test_access_types_and_their_pdo_direction(tmp_path: Path) -> None:

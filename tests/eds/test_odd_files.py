@@ -45,6 +45,8 @@ ODD: dict[str, tuple[str, str, Any, Any, Any]] = {  # content, a finding, a key 
         r"outside the limits any to 8", 0x2000, "default", 9),
     "limits reversed": (text(var("2000", 5, "rw", "9", LowLimit="8", HighLimit="2")),
         r"LowLimit=8: above HighLimit", 0x2000, "high", None),
+    "limit below the type": (text(var("2000", 5, "rw", "0", LowLimit="-1", HighLimit="8")),
+        r"LowLimit=-1: not in UNSIGNED8; the limit does not apply", 0x2000, "low", None),
     "limits of nothing": (text(var("2000", 5, "rw", "0", LowLimit="0", HighLimit="0")),
         r"LowLimit=0: HighLimit, too, is 0", 0x2000, "high", None),
     "no data type": (text("[2000]\nParameterName=x\nAccessType=rw\n"),
@@ -241,8 +243,9 @@ def test_encodings(tmp_path: Path) -> None:
 def test_what_is_no_eds_is_refused(content: bytes, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"any\.eds: no "):
         described(tmp_path, content)
-    with pytest.raises(InputError, match=r"Is a directory"):
-        read_eds(tmp_path, 5)
+    for path, message in ((tmp_path, r"Is a directory"), ("/dev/zero", r"more than 33554432 bytes")):
+        with pytest.raises(InputError, match=message):
+            read_eds(path, 5)
 
 
 def test_damaged_files_never_raise_anything_else(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ A test that needs a compiler is skipped, and says so, when there is none; `make 
 
 from __future__ import annotations
 
+import ctypes
 import math
 import struct
 import subprocess
@@ -123,6 +124,14 @@ def test_fixed_point_beyond_its_range_is_saturated(both: Both, units: int) -> No
     assert int(fixed["status"]) == CALIBRATED | scalar.SATURATED
 
 
+def test_fixed_point_refuses_noise_that_is_not_finite(library: Libraries) -> None:
+    fixed = np.zeros(estimators.OPAQUE_BYTES, "u1")
+    rest = ctypes.c_double(1e-7), np.array([0.05, 0.03, -80.0, 80.0]), 0
+    for value in (math.nan, math.inf, -math.inf, 1e-15):
+        numbers = np.eye(3) * 1e4, np.zeros(3), np.array([1e-14, value, 0.0, 1e-14, 0.0, 1e-14])
+        assert library(3, "float")("fixed_setup", fixed, *numbers, *rest) & 0xFF == (value == 1e-15)
+
+
 @pytest.mark.parametrize("early", [0, scalar.SATURATED | CALIBRATED, scalar.STALE | CALIBRATED, 0x80 | CALIBRATED])
 def test_what_the_caller_knows_hides_the_force(both: Both, early: int) -> None:
     floating, fixed = both(one([300000, 100000, 400000], early=early))
@@ -176,3 +185,5 @@ def test_the_example_of_the_documents_compiles(tmp_path: Path) -> None:
         (tmp_path / name).write_text(text)
     (tmp_path / "example.c").write_text(block.split("```")[0] + "int main(void) { return 0; }\n")
     gcc(*tmp_path.glob("*.c"), "-o", tmp_path / "example")
+    with pytest.raises(AssertionError, match="tipforce_both_or_none"):  # without -DTIPFORCE_DOUBLE
+        gcc("-DTIPFORCE_REAL=double", "-c", tmp_path / "tipforce_float.c", "-o", tmp_path / "float.o")

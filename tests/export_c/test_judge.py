@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import canopen
@@ -119,6 +120,17 @@ def test_the_verdicts_of_c_and_node_are_equal(n: int, real: str, library: Librar
         if not hidden:
             assert one[2] == pytest.approx(sample.contact()[0], rel=rel, abs=1e-6)
             assert one[3] == pytest.approx(sample.uncertainty()[0], rel=max(rel, 1e-6))
+
+
+@pytest.mark.parametrize("noise", [1e-12, 0.0])
+def test_what_a_lost_gauge_reads_changes_nothing(noise: float, library: Libraries) -> None:
+    calibration, samples = recorded(5)
+    rest, found = samples[50].microstrains[1:], []
+    for read in (0.0, math.nan, math.inf):
+        one: Any = SimpleNamespace(reading=samples[50].reading, overloads=[1, 0, 0, 0, 0], microstrains=[read, *rest])
+        found += judged(library(5, "double"), replace(calibration, covariance_strain2=noise * np.eye(5)), [one])
+    assert found[0][:2] == (0x0001, 0x07)
+    assert found == 3 * found[:1]
 
 
 def test_float_and_double_differ_only_in_a_band_around_a_limit(library: Libraries) -> None:

@@ -8,7 +8,7 @@ from canopen_device.core.emcy import TRANSMIT_OVERFLOW
 from firmware.app import Clock, Firmware
 from firmware.can_machine import MachineCan
 from firmware.can_mcp2515 import Mcp2515, bit_timing
-from firmware.can_port import QUEUE
+from firmware.can_port import QUEUE, RECEIVE_AT_ONCE
 from firmware.source import Gauges
 from microcontroller import fake_controllers, fakes, rig
 from tipforce_loader.flash import FlashStore
@@ -28,6 +28,8 @@ def test_frames_come_in_order_and_29_bits_are_left_out(pair: tuple[Any, Any]) ->
     bus.coming += [(0x40000705, b""), (0x80000001, b"")]
     assert port.receive() == [(0x123, b"\1\2\3"), (0x7FF, bytes(range(8))), (0, b""), (0x40000705, b"")]
     assert port.receive() == []
+    bus.coming += RECEIVE_AT_ONCE * [(0x80000123, b"\4")] + [(0x705, b"\5")]
+    assert (port.receive(), port.receive()) == ([], [(0x705, b"\5")])
 
 
 def test_frames_go_in_order_and_wait_for_room(pair: tuple[Any, Any]) -> None:

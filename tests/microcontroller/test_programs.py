@@ -5,9 +5,11 @@ import hmac
 import io
 import os
 import random
+import sys
 from collections.abc import Iterator
 from copy import deepcopy
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -18,7 +20,7 @@ from microcontroller.program_board import INSTALLED_VERSION, KEY, Board, Flash, 
 from microcontroller.test_flash import FOLDER, LOADER, firmware_files
 from micropython import engine
 from tipforce.dictionary import table
-from tipforce_loader import build
+from tipforce_loader import boot, build
 from tipforce_loader import image as loader_image
 from tipforce_loader.flash import FileSlots, FlashStore
 from tipforce_loader.programs import INSTALLED
@@ -326,6 +328,18 @@ for name in list(sys.modules):
     if name == 'machine' or [top for top in ('firmware', 'tipforce', 'canopen_device') if name.startswith(top)]:
         del sys.modules[name]
 """
+
+
+def test_a_program_on_trial_that_cannot_be_mounted_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    facts = {"PROGRAM_KEY": KEY, "PRODUCT": table.PRODUCT, "VERSION": INSTALLED_VERSION, "MAIN": "none"}
+    board = SimpleNamespace(**facts, PROGRAM_FOLDER=str(tmp_path), restart=sys.exit)
+    (tmp_path / "program0.bin").write_bytes(build.image((0, 7, 0), table.PRODUCT, {}, KEY))
+    FlashStore(FileSlots(f"{tmp_path}-record")).save("program", bytes((INSTALLED, 0, 0, 0)))
+    monkeypatch.setattr(boot, "board", board)
+    monkeypatch.setattr(sys, "print_exception", print, raising=False)
+    monkeypatch.setitem(sys.modules, "vfs", None)  # its import fails, as a mount without memory does
+    with pytest.raises(SystemExit):
+        boot.run()
 
 
 def test_the_loader_starts_a_program_from_its_image_once_unless_it_is_confirmed(tmp_path: Path) -> None:

@@ -54,9 +54,12 @@ def test_values_by_index_and_name(tmp_path: Path) -> None:
         (0x2003, 256, "allowed are 0 to 255"),
         (0x2000, 1.5, "allowed are integers"),
         (0x2002, 3, "text"),
+        (0x2002, "\u65e5", "allowed is text of Latin-1"),  # it was held as ?
     ):
         with pytest.raises(InputError, match=message):
             device[key] = value
+    with pytest.raises(InputError, match="EMCY 74565, 1, 0: allowed are 1 to 0xFFFF"):
+        device.raise_emergency(0x12345)
 
 
 def test_a_change_sends_the_event_driven_pdo_after_its_inhibit_time(tmp_path: Path) -> None:
@@ -153,6 +156,9 @@ def test_signals(tmp_path: Path) -> None:
     device[0x2000] = 7
     talk.advance(100_000)
     assert device[0x2000] == 7  # an integer has no NaN
+    talk = press(tmp_path, signals={"P2001": Follows(0x2000, gain=1e38)})
+    talk.advance(100_000)
+    assert talk.device["P2001"] == pytest.approx(3.4028234663852886e38)  # 7e38 ended the loop of all devices
     with pytest.raises(InputError, match="a signal sets numbers only"):
         press(tmp_path, signals={0x2002: Ramp()})
 
@@ -211,6 +217,7 @@ for_s = 1.0
 eds = "cia402"
 node_id = 8
 """
+WALK = '[[device.signal]]\nkind = "random_walk"\nobject = "P2000"\nstep = 1\nlow = 0\nhigh = 9\n'
 SECOND = '[[device.signal]]\nkind = "follows"\nsource = "P2000"\n'
 APPLICATION = """\
 from canopen_device.machine import DeviceApplication
@@ -253,6 +260,7 @@ def test_a_machine_has_its_devices(folder: Path) -> None:
         ('"ramp"', '"rmap"', r"device\[1\].signal\[1\].kind is 'rmap'; did you mean ramp"),
         ("duration_s = 1", "duration_s = 0", "duration_s 0.0: allowed is above 0"),
         ("end = 100", "end = 1e9", "UNSIGNED16 holds 0 to 65535"),
+        ("[[device.fault]]", WALK + "every_s = 1e-320\n[[device.fault]]", "every_s 1e-320: allowed is above 1e-05"),
         ("P2001", "P20", r"device\[1\]: press.eds: no object is called 'P20'; close to it"),
         ("P2000 = 3", "P2000 = 300", "300 does not fit UNSIGNED8"),
         ("press.py:Press", "press.py:Other", "no subclass of DeviceApplication called 'Other'"),

@@ -333,8 +333,8 @@ CHILDREN: dict[str, tuple[list[str], set[str]]] = {  # CiA 311: element -> child
     "co:characteristicContent": (["label"], set()), "label": ([], {"lang"}),
     "ApplicationLayers": (["co:CANopenObjectList", "dummyUsage"], set()),
     "co:CANopenObjectList": (["CANopenObject"], {"mandatoryObjects", "optionalObjects", "manufacturerObjects"}),
-    "CANopenObject": (["CANopenSubObject"], {"index", "subNumber", *OBJECT}),
-    "CANopenSubObject": ([], {"subIndex", *OBJECT}),
+    "CANopenObject": (["CANopenSubObject"], {"index", "subNumber", "objFlags", *OBJECT}),
+    "CANopenSubObject": ([], {"subIndex", "objFlags", *OBJECT}),
     "dummyUsage": (["dummy"], set()), "dummy": ([], {"entry"}),
     "TransportLayers": (["PhysicalLayer"], set()), "PhysicalLayer": (["baudRate"], set()),
     "baudRate": (["supportedBaudRate"], {"defaultValue"}), "supportedBaudRate": ([], {"value"}),
@@ -362,6 +362,7 @@ def test_xdd_has_the_structure_of_cia_311(tmp_path: Path) -> None:
         for key, allowed in ALLOWED.items():
             assert one.attrib.get(key, "no" if key == "PDOmapping" else "ro") in allowed
     dcf = exported(tmp_path / "a.dcf", "dcf", "--node-id", "5", "--programs")
+    assert read_eds(exported(tmp_path / "a.xdc", "xdd", "--eds", str(dcf))).node_id == 5
     for description in (read_eds(path, 5), read_eds(eds, 5), read_eds(dcf, 5)):
         assert {0x1F50, 0x1F57} <= set(description.objects)
         assert description.warnings == []

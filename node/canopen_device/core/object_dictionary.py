@@ -23,7 +23,7 @@ RANGES = {
 }  # fmt: skip
 FORMATS = {"B": "<B", "b": "<b", "H": "<H", "h": "<h", "I": "<I", "i": "<i", "f": "<f"}  # of struct
 DUMMIES = {2: "b", 3: "h", 4: "i", 5: "B", 6: "H", 7: "I"}
-REAL32_MAX = 3.4028234663852886e38
+REAL32_MAX, REAL32_END = 3.4028234663852886e38, 3.40282356e38  # up to which 3.4028235e38, as files write it, is rounded
 
 
 def encode(kind: str, value: "Value") -> bytes:
@@ -34,9 +34,9 @@ def encode(kind: str, value: "Value") -> bytes:
     if kind == "s":
         return value.encode()  # type: ignore[union-attr]
     if kind == "f":
-        if value > REAL32_MAX:  # type: ignore[operator]
+        if value > REAL32_END:  # type: ignore[operator]
             value = float("inf")
-        elif value < -REAL32_MAX:  # type: ignore[operator]
+        elif value < -REAL32_END:  # type: ignore[operator]
             value = float("-inf")
     elif kind != "d":
         low, high = RANGES[kind]

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 ALL, COMMUNICATION, APPLICATION = 1, 2, 3  # sub-indices; an application adds groups from 4 on
 _COMMUNICATION_NAME = "communication"
 LSS_GROUP = "lss"  # of the stored node-id and bit rate: none of 1010h
-_HEAD = "<HBH"
+_HEAD, _HEAD_BYTES, _LONG = "<HBH", 5, 0xFFFF  # a length from _LONG on follows in four bytes
 _RESTORED = b""  # stored after a restore: empty, so the defaults apply after the next reset
 
 
@@ -143,7 +143,8 @@ def pack_settings(od: "ObjectDictionary", first: int, last: int) -> bytes:
             entry, value = od.find(index, sub), od.values[index << 8 | sub]
             if is_setting(entry) and value != od.default(index, sub):  # type: ignore[arg-type]
                 data = encode(entry[0], value)  # type: ignore[index]
-                records.append(struct.pack(_HEAD, index, sub, len(data)) + data)
+                head = struct.pack(_HEAD, index, sub, min(len(data), _LONG))
+                records.append(head + (struct.pack("<I", len(data)) if len(data) >= _LONG else b"") + data)
     return b"".join(records)
 
 
@@ -162,13 +163,15 @@ def unpack_settings(od: "ObjectDictionary", first: int, last: int, data: "bytes 
 
 
 def _records(data: bytes) -> "Iterator[tuple[int, int, bytes, bytes]]":
-    offset, size = 0, struct.calcsize(_HEAD)
-    while offset + size <= len(data):
-        head = data[offset : offset + size]
-        index, sub, length = struct.unpack(_HEAD, head)
-        offset += size + length
-        if offset <= len(data):
-            yield index, sub, head, data[offset - length : offset]
+    start = _HEAD_BYTES
+    while start <= len(data):
+        offset = start - _HEAD_BYTES
+        index, sub, length = struct.unpack(_HEAD, data[offset:start])
+        if length == _LONG:
+            start, length = start + 4, int.from_bytes(data[start : start + 4], "little")
+        if start + length <= len(data):
+            yield index, sub, data[offset:start], data[start : start + length]
+        start += length + _HEAD_BYTES
 
 
 def _without_1020(name: str, data: bytes) -> bytes:

@@ -1,5 +1,6 @@
 """Read an EDS or DCF (CiA 306-1): general sections, objects, records, arrays, compact arrays, and their checks."""
 
+import os
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -36,11 +37,12 @@ def read_eds(path: str | Path, node_id: int | None = None) -> Description:
 def read(path: str | Path) -> EdsFile:
     """Return the sections of an EDS, DCF, XDD or XDC. Raises InputError for what cannot be read, or has none at all."""
     try:
-        content = Path(path).read_bytes()
+        with open(path, "rb") as stream:
+            content = stream.read(min(os.fstat(stream.fileno()).st_size or MOST_BYTES, MOST_BYTES) + 1)  # 0: a pipe
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
     if len(content) > MOST_BYTES:
-        raise InputError(f"{path}: {len(content)} bytes; an EDS or DCF has at most {MOST_BYTES}")
+        raise InputError(f"{path}: more than {MOST_BYTES} bytes, the limit of an EDS or DCF")
     if decoded(content)[0].lstrip().startswith("<"):
         from canopen_device.eds.xdd import read_xdd
 

@@ -111,8 +111,8 @@ def typed(kind: DataType, text: str, node_id: int) -> tuple[Value, bool, str]:
 def limit(kind: DataType, text: str, node_id: int) -> tuple[int | float | None, str]:
     """Read a limit of a numeric type, and a remark; None for what is no such number."""
     value, _, remark = typed(kind, text, node_id)
-    if remark.endswith(_AS_ZERO) or not isinstance(value, int | float):
-        return None, remark.replace(_AS_ZERO, "the limit does not apply")
+    if remark.endswith(_AS_ZERO) or remark.startswith("not in ") or not isinstance(value, int | float):
+        return None, remark.partition("; read as ")[0] + "; the limit does not apply"
     return value, remark
 
 

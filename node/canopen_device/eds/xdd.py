@@ -68,6 +68,7 @@ _DOCUMENT = f"""\
       </TransportLayers>
       <NetworkManagement>
         <CANopenGeneralFeatures {{features}} layerSettingServiceSlave="{{lss}}"/>
+{{node}}\
       </NetworkManagement>
     </ProfileBody>
   </co:ISO15745Profile>
@@ -108,8 +109,8 @@ def quoteattr(text: str) -> str:
 
 
 def xdd_text(described: Description, creator: str = "canopen_device") -> str:
-    """Return the XDD of a device; values with $NODEID are written with it. As in the schema, elements that it declares
-    globally have the namespace, those below a type have none."""
+    """Return the XDD of a device, of a DCF the XDC; values with $NODEID are written with it. As in the schema, elements
+    that it declares globally have the namespace, those below a type have none."""
     name = quoteattr(described.path.stem + ".xdd")
     body = f'formatName="CANopen" formatVersion="1.0" fileName={name} fileCreator={quoteattr(creator)}'
     vendor, product = (described.entry(communication.IDENTITY, sub) for sub in (1, 2))
@@ -120,6 +121,11 @@ def xdd_text(described: Description, creator: str = "canopen_device") -> str:
         used = [(code, int(code in described.dummies)) for code in range(1, 8)]
         dummies = "".join(f'          <dummy entry="Dummy{code:04X}={flag}"/>\n' for code, flag in used)
         dummies = f"        <dummyUsage>\n{dummies}        </dummyUsage>\n"
+    node = ""
+    if described.is_dcf:
+        rate = "" if described.bit_rate is None else f' actualBaudRate="{described.bit_rate // _KBIT} Kbps"'
+        keys = f'nodeID="{described.node_id}" nodeName={quoteattr(described.node_name)}{rate}'
+        node = f'        <deviceCommissioning {keys} networkNumber="0" networkName="" CANopenManager="false"/>\n'
     rates = [rate // _KBIT for rate in described.bit_rates or (1_000_000,)]
     rpdos, tpdos = (sum(first <= index <= last for index in described.objects) for _, first, last, *_ in PDOS)
     return _DOCUMENT.format(
@@ -132,6 +138,7 @@ def xdd_text(described: Description, creator: str = "canopen_device") -> str:
         rates="".join(f'            <supportedBaudRate value="{rate} Kbps"/>\n' for rate in rates),
         features=f'granularity="8" nrOfRxPDO="{rpdos}" nrOfTxPDO="{tpdos}" bootUpSlave="true"',
         lss=str(described.lss).lower(),
+        node=node,
     )
 
 
@@ -154,6 +161,8 @@ def _attributes(entry: Entry, node_id: int) -> str:
         "DefaultValue": _value(entry, entry.default, node_id) if has_default else None,
         "LowLimit": _value(entry, entry.low, 0),
         "HighLimit": _value(entry, entry.high, 0),
+        "ParameterValue": _value(entry, entry.value, 0),
+        "ObjFlags": f"{entry.flags:04X}" if entry.flags else None,
         "PDOMapping": {0: "no", TPDO: "TPDO", RPDO: "RPDO"}.get(entry.directions, "optional"),
     }
     return "".join(f" {KEYS[key].xdd}={quoteattr(text)}" for key, text in texts.items() if text is not None)

@@ -138,15 +138,17 @@ class SimulatedDevice:
         with placed(f"{entry.place} {entry.name!r}"):
             if entry.letter != "s":  # a text outside ASCII is held as Latin-1
                 types.encode(entry.letter, value)
-            elif not isinstance(value, str):
-                raise InputError(f"{value!r} is not VISIBLE_STRING: allowed is text")
+            elif not isinstance(value, str) or max(value, default="") > "\xff":
+                raise InputError(f"{value!r} is not VISIBLE_STRING: allowed is text of Latin-1")
         key, now = entry.index << 8 | entry.sub, core_value(entry.letter, value)
         if self.core.od.values[key] != now:
             self.core.od.values[key] = now
             self._announce(entry.index, entry.sub)
 
     def raise_emergency(self, code: int, register: int = emcy.GENERIC, detail: int = 0) -> None:
-        """Send an EMCY message and keep the error active: its bits are set in 1001h, and it is in 1003h."""
+        """Send an EMCY message and keep the error active, in 1001h and in 1003h. Raises InputError."""
+        if not (1 <= code <= 0xFFFF and 0 <= register <= 0xFF and 0 <= detail <= 0xFFFF):
+            raise InputError(f"EMCY {code}, {register}, {detail}: allowed are 1 to 0xFFFF, 0 to 0xFF, 0 to 0xFFFF")
         with self._lock:
             self.core.emcy.raise_error(code, register, detail)
 

@@ -94,10 +94,7 @@ def _device(part: Any, folder: Path) -> SimulatedDevice:
 
 
 def _signal(folder: Path, kind: str, object: str | int, **given: Any) -> signals.Signal:
-    """Return the signal of a table. Raises InputError for a time that is not above 0, and limits out of order."""
-    for name in ("duration_s", "cycle_s", "every_s"):
-        if name in given and not given[name] > 0.0:
-            raise InputError(f"signal of {object!r}: {name} {given[name]}: allowed is above 0")
+    """Return the signal of a table. Raises InputError for limits out of order."""
     if kind == "csv":
         path = below(folder, given["file"], f"signal of {object!r}: file")
         return signals.recorded(path, given["column"], given["time_column"], given["repeats"])

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+from canopen_device.core.object_dictionary import REAL32_MAX
 from canopen_device.errors import InputError
 from canopen_device.types import Value
 
@@ -145,8 +146,13 @@ class Driver:
         self._device, self.entry, self.signal = device, entry, signal
         if entry.type.python not in (int, float):
             raise InputError(f"{entry.place} {entry.name!r} is {entry.type.name}: a signal sets numbers only")
-        low, high = entry.type.limits or (-math.inf, math.inf)
+        most = REAL32_MAX if entry.letter == "f" else math.inf
+        low, high = entry.type.limits or (-most, most)
         self._low, self._high = low, high
+        for name, above in (("duration_s", 0.0), ("cycle_s", 0.0), ("every_s", 1e-5)):  # more steps would take all time
+            if not getattr(signal, name, 1.0) > above:
+                given = getattr(signal, name)
+                raise InputError(f"{entry.place} {entry.name!r}: {name} {given}: allowed is above {above:g}")
         ends = _extremes(signal)
         if ends and not (low <= min(ends) and max(ends) <= high):
             raise InputError(

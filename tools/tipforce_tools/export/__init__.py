@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = "dcf: TOML or DCF with the settings that are not at their default, as for `config apply`"
     parser.add_argument("--settings", type=common.InputFile(), metavar="FILE", help=what)
     parser.add_argument("--bits", type=int, choices=(16, 24), default=16, help="converter resolution (default 16)")
-    parser.add_argument("--simulated", action="store_true", help="eds, dcf: add 2200h and 2201h of a simulated node")
+    parser.add_argument("--simulated", action="store_true", help="eds, dcf, xdd: 2200h and 2201h of a simulated node")
     what = "eds, dcf, xdd: add 1F50h to 1F57h of firmware with program slots"
     parser.add_argument("--programs", action="store_true", help=what)
     parser.add_argument("--prefix", default="", metavar="TEXT", help="mjcf: in front of every name")
@@ -65,10 +65,12 @@ def run(args: argparse.Namespace) -> int:
     if args.programs and args.format not in ("eds", "dcf", "xdd"):
         others = "the exported C has no program slots, and other formats list no objects"
         raise InputError(f"export {args.format}: --programs is for eds, dcf and xdd; {others}")
-    if args.programs and args.eds:
-        raise InputError("--programs: the objects are those of the file of --eds; leave one out")
-    for name, only in (("eds", "xdd"), ("settings", "dcf"), ("hand", "ros2")):
-        if getattr(args, name) and args.format != only:
+    for name in ("programs", "simulated"):
+        if getattr(args, name) and args.eds:
+            raise InputError(f"--{name}: the objects are those of the file of --eds; leave one out")
+    of = {"eds": "xdd", "settings": "dcf", "hand": "ros2", "node-id": "dcf, xdd", "simulated": "eds, dcf, xdd"}
+    for name, only in of.items():
+        if getattr(args, name.replace("-", "_")) and args.format not in only.split(", "):
             raise InputError(f"export {args.format}: --{name} is for {only} alone; leave it out")
     converter = table.CONVERTER_24 if args.bits == 24 else table.CONVERTER_16
     if args.format in ("c", "ros2"):
@@ -116,19 +118,21 @@ def _text(args: argparse.Namespace, converter: Converter) -> str:
 
 
 def _xdd(args: argparse.Namespace, converter: Converter) -> str:
-    from canopen_device.eds.reader import describe, read_eds
+    from canopen_device.eds.reader import describe, read
     from canopen_device.eds.sections import parse
     from canopen_device.eds.xdd import xdd_text
     from tipforce.dictionary.eds import eds_text, file_name
 
     if args.eds:
-        described = read_eds(args.eds, args.node_id or 1)
-        for warning in described.warnings:
-            common.note(f"warning: {warning}")
-        return xdd_text(described, "tipforce")
-    text = eds_text(args.gauges, args.simulated, converter, args.programs)
-    path = Path(file_name(args.gauges, args.simulated, bits=converter[0]))
-    return xdd_text(describe(parse(text.encode(), path), 1), "tipforce")
+        file = read(args.eds)
+    else:
+        text = eds_text(args.gauges, args.simulated, converter, args.programs)
+        file = parse(text.encode(), Path(file_name(args.gauges, args.simulated, bits=converter[0])))
+    names_node = {"devicecomissioning", "devicecommissioning"} & file.sections.keys()
+    described = describe(file, args.node_id or (None if names_node else 1))
+    for warning in described.warnings:
+        common.note(f"warning: {warning}")
+    return xdd_text(described, "tipforce")
 
 
 def _write_folder(args: argparse.Namespace, converter: Converter) -> int:
@@ -148,7 +152,6 @@ def _write_folder(args: argparse.Namespace, converter: Converter) -> int:
     return 0
 
 
-HERE = Path(__file__).parent
 ESTIMATOR = (
     "tipforce_estimator.h", "tipforce_status.c", "tipforce_float.c", "tipforce_fixed.c", "tipforce_fixed_setup.c",
     "tipforce_judge.h", "tipforce_judge.c",
@@ -158,7 +161,7 @@ ESTIMATOR = (
 def c_files(n: int = 3, converter: Converter = table.CONVERTER_16) -> dict[str, str]:
     """The text of each file by its name. Raises InputError for an ``n`` outside 3..8."""
     generated = {"tipforce_od.h": header_text(n, converter), "tipforce_od.c": table_text(n, converter)}
-    return generated | {name: (HERE / name).read_text(encoding="ascii") for name in ESTIMATOR}
+    return generated | {name: (Path(__file__).parent / name).read_text(encoding="ascii") for name in ESTIMATOR}
 
 
 def write_c_files(folder: Path, n: int, converter: Converter = table.CONVERTER_16) -> list[Path]:

@@ -67,7 +67,7 @@ static bool covariance(tipforce_fixed_calibration *c, const double C[3][TIPFORCE
     }
     double largest = fmax(fmax(cov[0], cov[3]), fmax(cov[5], 0.0));
     int exponent = 0;
-    if (!(largest < 1e6)) {
+    if (!(largest < 1e6 && cov[0] - cov[0] == 0.0)) { /* fmax drops a NaN, which is in every sum */
         return false;
     }
     (void)frexp(largest, &exponent);

@@ -11,6 +11,8 @@ typedef TIPFORCE_REAL real;
 #define F(name) name##f
 #endif
 
+typedef char tipforce_both_or_none[sizeof(real) > sizeof(F(fabs)((real)0)) ? -1 : 1]; /* REAL=double and DOUBLE */
+
 #define PI ((real)3.14159265358979323846)
 #define DEGREES ((real)57.295779513082320877)
 #define MISS_COVERAGE_FACTOR ((real)3.0)

@@ -305,16 +305,22 @@ static bool directions(const tipforce_record *r, double A[N][3], const int kept[
 static void set_subset(const tipforce_record *r, unsigned lost, tipforce_subset *s)
 {
     double A[N][3], C[3][N], W[N][N], cov[6];
+    tipforce_record weights = *r;
     int kept[N] = {0}, m = 0;
+    bool noisy = false;
     memset(s, 0, sizeof *s);
     for (int k = 0; k < N; k++) {
+        noisy = noisy || r->noise[place(k, k)] > 0.0;
         if (!(lost >> k & 1u)) {
             kept[m++] = k;
         }
     }
+    for (int k = 0; k < N && !noisy; k++) { /* gauges of equal noise */
+        weights.noise[place(k, k)] = 1.0;
+    }
     memcpy(C, r->C, sizeof C);
-    bool structured = N > 3 && structure(r, A);
-    s->usable = !lost || (structured && m >= 3 && leave_out(r, A, kept, m, C));
+    bool structured = N > 3 && structure(&weights, A);
+    s->usable = !lost || (structured && m >= 3 && leave_out(&weights, A, kept, m, C));
     if (!s->usable) {
         return;
     }
@@ -327,7 +333,7 @@ static void set_subset(const tipforce_record *r, unsigned lost, tipforce_subset 
     for (int i = 0; i < 6; i++) {
         s->cov[i] = (real)cov[i];
     }
-    if (!structured || m < 4 || !(r->redundancy_limit > 0.0) || !directions(r, A, kept, m, W)) {
+    if (!structured || !noisy || m < 4 || !(r->redundancy_limit > 0.0) || !directions(r, A, kept, m, W)) {
         return;
     }
     s->rows = (uint8_t)(m - 3);
@@ -501,7 +507,7 @@ static void judge_force(const tipforce_record *r, double gain, bool overloaded, 
     }
     add(v->cov, warm);
     for (int k = 0; k < N; k++) {
-        v->V[k] /= (real)gain;
+        v->V[k] = (unsigned)v->faults >> k & 1u ? 0 : v->V[k] / (real)gain;
     }
 }
 
@@ -519,7 +525,8 @@ void tipforce_judge_sample(const tipforce_judge *judge, const real strain[N], re
         if (r->converter_limit[k] > 0.0 && fabs((double)strain[k]) >= r->converter_limit[k]) {
             lost |= (uint8_t)(1u << k);
         }
-        v->V[k] = (real)((double)strain[k] - r->offset[k] - kelvin * r->offset_per_K[k]);
+        /* A gauge that is lost may read NaN or infinity: its weight of zero alone would not take that away. */
+        v->V[k] = (unsigned)lost >> k & 1u ? 0 : (real)((double)strain[k] - r->offset[k] - kelvin * r->offset_per_K[k]);
         extra[k] = (real)r->model * v->V[k] * (real)r->model * v->V[k];
     }
     if (lost) {
@@ -553,11 +560,6 @@ void tipforce_judge_sample(const tipforce_judge *judge, const real strain[N], re
     memcpy(v->C, s->C, sizeof v->C);
     memcpy(v->cov, s->cov, sizeof v->cov);
     add_doubt(r, v, explained, visible);
-    for (int k = 0; k < N; k++) {
-        if ((unsigned)lost >> k & 1u) {
-            v->V[k] = 0;
-        }
-    }
     judge_force(r, gain, overloaded, left, v);
     v->determined = lost != 0 && !v->overloaded;
 }
