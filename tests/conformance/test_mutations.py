@@ -1,12 +1,13 @@
 """Deliberate faults in the device: each is noticed by a case; and what the standard permits is no failure."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import pytest
 
-from canopen_conformance.case import Case
+from canopen_conformance.case import Case, CheckError
 from canopen_conformance.dut import Dut
 from canopen_conformance.run import FAIL, NOT_APPLICABLE, PASS, run_on
 from canopen_conformance.wire import CoreLink
@@ -22,7 +23,7 @@ from canopen_device.core.storage import Storage
 from canopen_device.core.sync import SyncConsumer
 from canopen_device.eds.load import device_of
 from canopen_device.testing import MemoryStore
-from conformance.fingertip import all_cases, matching, run_in_process
+from conformance.fingertip import all_cases, core_node, matching, run_in_process
 from conformance.minimal import MinimalDevice
 from device.tiny import service_dictionary
 from eds.samples import described, record, text, var
@@ -31,6 +32,7 @@ from tipforce.fingertip import channels
 Sent = list[tuple[int, bytes]]
 NODE_ID = 5
 Injection: TypeAlias = Callable[[pytest.MonkeyPatch], None]
+CASES = all_cases()[::5]
 FOREIGN = [case for case in all_cases() if not case.own]
 # The standard demands segmented transfer of an SDO server (7.2.4.1); this one has none, and that is to be found.
 LACKING = "sdo_segmented."
@@ -254,3 +256,42 @@ def test_minimal_device_never_crashes_a_case(constant_ms: int, passed: int, fail
     assert verdicts.count(PASS) > passed
     assert verdicts.count(NOT_APPLICABLE) > 300
     assert verdicts.count(FAIL) in failed
+
+
+class Changed:
+    """The fingertip, behind a change of what it sends."""
+
+    def __init__(self, change: Callable[[int, bytes], bytes]) -> None:
+        self._device, self._change = core_node(), change
+
+    def step(self, now_us: int, frames: Sent = ()) -> tuple[Sent, int]:  # type: ignore[assignment]
+        sent, due_us = self._device.step(now_us, frames)
+        return [(can_id, self._change(can_id, data)) for can_id, data in sent], due_us
+
+
+@pytest.mark.parametrize("service", [0x080, 0x180, 0x580, 0x7E4])
+def test_short_frames_and_impossible_numbers_fail_cases_and_crash_none(service: int) -> None:
+    def changed(can_id: int, data: bytes, size: int) -> bytes:
+        if service not in (can_id, can_id & 0x780):
+            return data
+        return data[:size] if size < 9 else data[:4] + b"\xff" + data[5:]
+
+    devices = [Changed(partial(changed, size=size)) for size in (0, 1, 2, 9) for _ in CASES]
+    assert FAIL in [run_in_process(*each)[0].verdict for each in zip(4 * CASES, devices, strict=True)]
+
+
+class Endless:
+    """A device whose strings have no end, and which does not reset, but goes on with its heartbeat."""
+
+    def step(self, now_us: int, frames: Sent = ()) -> tuple[Sent, int]:  # type: ignore[assignment]
+        sent = [(0x585, bytes((data[0] & 0x10 if data[0] & 0x20 else 0x41, *data[1:]))) for i, data in frames if i]
+        return [*sent, (0x705, b"\x7f")], now_us + 10_000
+
+
+@pytest.mark.parametrize("run", [Dut.reset, lambda dut: dut.read(0x1008)])
+def test_a_device_without_end_ends_a_case(run: Callable[[Dut], object], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("canopen_conformance.dut._MOST_SEGMENTS", 100)
+    link = CoreLink(Endless())
+    link.tolerance_ms = 20
+    with pytest.raises(CheckError):
+        run(Dut(link, NODE_ID))

@@ -92,7 +92,7 @@ expedited("in_order 7.2.4.3: every request has one answer, in order", (),
 
 def highest_sub(dut: Dut, index: int) -> None:
     """Sub-index 0 is the highest sub-index that is there."""
-    highest = dut.integer("B", index, 0)
+    highest = dut.highest(index)
     dut.request(struct.pack("<BHB", 0x40, index, highest))
     dut.answer(lambda data: abort_code(data) in (0, Abort.WRITE_ONLY))
     dut.request(struct.pack("<BHB", 0x40, index, highest + 1))

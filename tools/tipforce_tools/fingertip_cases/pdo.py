@@ -139,7 +139,7 @@ def counter(dut: Dut) -> None:
     for _ in range(260):
         dut.sleep(1)
         dut.send(0x080)
-        value = dut.expect(PDO).data[0]
+        value = int.from_bytes(dut.expect(PDO).data, "little")
         check(last < 0 or value == (last + 1) & 0xFF, str((last + 1) & 0xFF), str(value))
         last = value
 
