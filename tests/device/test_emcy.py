@@ -1,5 +1,7 @@
 """EMCY (CiA 301, 7.2.7): messages, 1001h, 1003h, 1014h, 1015h; bus faults and nodes with the same identifiers."""
 
+import struct
+
 import pytest
 
 from canopen_device.core import emcy
@@ -38,7 +40,9 @@ def test_what_waits_is_bounded() -> None:
         raised(talk, 0x5030, detail)
     talk.say("> 000#8005\n< 085#3050210000000000")
     talk.advance(1)
-    assert len(talk.take()) == MAX_WAITING - 1
+    later = talk.take()
+    assert len(later) == MAX_WAITING - 1
+    assert struct.unpack_from("<H", later[-1][1], 3) == (3 * MAX_WAITING - 1,)  # with the register of now
 
 
 def test_an_invalid_cob_id_holds_messages_back() -> None:
@@ -58,12 +62,15 @@ def test_a_reset_of_communication_keeps_what_the_application_reported() -> None:
     raised(talk, emcy.HEARTBEAT_LOST, 7, emcy.COMMUNICATION)
     talk.advance(10)
     talk.take()
-    talk.say("> 000#8205\n< 705#00")
+    talk.say("> 000#0205")
+    raised(talk, 0x5030, 9)  # waits while STOPPED: it is active, and nobody has heard of it
+    raised(talk, emcy.HEARTBEAT_LOST, 8, emcy.COMMUNICATION)
+    talk.say("> 000#8205\n< 705#00\n< 085#3050310900000000")
     assert talk.get("B", 0x1001) == 0x31
-    assert talk.get("B", 0x1003) == 3
+    assert talk.get("B", 0x1003) == 5
     talk.say("> 000#8105\n< 705#00")
     assert talk.get("B", 0x1001) == 0x11  # the controller is no part of the node's reset
-    assert talk.get("B", 0x1003) == 3
+    assert talk.get("B", 0x1003) == 5
 
 
 def test_nothing_is_lost_while_the_bus_is_off() -> None:
@@ -168,3 +175,11 @@ def test_another_node_with_this_node_id_is_said_once(can_id: int) -> None:
     talk = serving()
     answer = f"< 085#508111{can_id & 0xFF:02X}{can_id >> 8:02X}000000"
     talk.say(f"> {can_id:03X}#00\n{answer}\n> {can_id:03X}#00")
+
+
+def test_a_collision_ends_with_the_tpdo_that_it_was_about() -> None:
+    talk = serving()
+    assert talk.put("I", 0x1800, 1, 0x40000185) == 0
+    talk.say("> 185#00\n< 085#5081118501000000")
+    assert talk.put("I", 0x1800, 1, 0xC0000185) == 0
+    talk.say("< 085#0000005081850100")
