@@ -317,12 +317,6 @@ class Dut:
         """Upload an integer."""
         return int(self.number(kind, index, sub))
 
-    def highest(self, index: int) -> int:
-        """Upload sub-index 0 of an array or record, which is at most FEh (7.4.3)."""
-        value = self.integer("B", index)
-        check(value <= 0xFE, f"{index:04X}h:00 up to FEh", f"{value:X}h")
-        return value
-
     def put(self, kind: str, index: int, sub: int, value: float, required: bool = False) -> None:
         """Download a precondition of the case: unless ``required``, not applicable if the device refuses it."""
         code = self.try_write(index, sub, struct.pack("<" + kind, value))
