@@ -114,7 +114,7 @@ def test_overload_hides_the_force_until_it_is_5_percent_below() -> None:
     sent = talk.frames()
     assert sent[0x285] == bytes.fromhex("008000800080") + bytes((CALIBRATED | SATURATED, sent[0x185][7]))
     assert sent[0x85] == bytes.fromhex("205021") + struct.pack("<HHx", 15, 0)
-    assert talk.get("H", 0x2124) == OVERLOAD | BEYOND
+    assert (talk.get("H", 0x2124), talk.put("H", 0x2130, 0, 3)) == (OVERLOAD | BEYOND, 0x08000022)  # no zero under it
     assert [talk.get("B", 0x6150, sub) for sub in range(1, 8)] == [0, 0, 0, 3, 3, 5, 3]
     talk.source.load = (3.9, *PUSH[1:])
     assert talk.frames()[0x285][6] & SATURATED

@@ -283,7 +283,7 @@ class Fingertip(Application):
         status = sample.status() | (0 if self._tare == NO_TARE else self._untared(sample).status())
         if status & scalar.CONTACT_PRESENT or sample.unknown() & scalar.UNKNOWN_GAUGES:
             return codes.DEVICE_STATE
-        if sample.reading is None or any(sample.overloads):
+        if sample.reading is None or any(sample.overloads) or sample.overloaded:
             return codes.DEVICE_STATE  # a gauge at its end, any one, is a sign of load
         scaling = self.channels.scaling
         abort = self.channels.zero(gauges, sample.reading.counts if sample.filtered is None else sample.filtered)
