@@ -117,7 +117,7 @@ def test_overload_hides_the_force_until_it_is_5_percent_below() -> None:
     assert (talk.get("H", 0x2124), talk.put("H", 0x2130, 0, 3)) == (OVERLOAD | BEYOND, 0x08000022)  # no zero under it
     assert [talk.get("B", 0x6150, sub) for sub in range(1, 8)] == [0, 0, 0, 3, 3, 5, 3]
     talk.source.load = (3.9, *PUSH[1:])
-    assert talk.frames()[0x285][6] & SATURATED
+    assert (talk.frames()[0x285][6] & SATURATED, talk.put("H", 0x2130, 0, 1)) == (SATURATED, 0x08000022)  # nor a tare
     talk.source.load = (3.7, *PUSH[1:])
     sent = talk.frames()
     assert sent[0x85] == bytes.fromhex("000000") + struct.pack("<HHx", 0x5020, 15)

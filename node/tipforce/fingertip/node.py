@@ -268,7 +268,8 @@ class Fingertip(Application):
         commit within one sample must not count anything twice."""
         return Sample(
             last.reading, self.channels.scaling, self.calibration.active, faults=last.faults, stale=last.stale,
-            frozen=last.frozen, filtered=last.filtered, ends=self.ends, spans=self.channels.spans,
+            frozen=last.frozen, filtered=last.filtered, ends=self.ends, was_overloaded=last.overloaded,
+            spans=self.channels.spans,
         )  # fmt: skip
 
     def _set_tare(self, tare: "tuple[float, float, float]") -> None:
@@ -281,10 +282,9 @@ class Fingertip(Application):
         ruled out."""
         sample = self._newest()
         status = sample.status() | (0 if self._tare == NO_TARE else self._untared(sample).status())
-        if status & scalar.CONTACT_PRESENT or sample.unknown() & scalar.UNKNOWN_GAUGES:
+        loaded = status & scalar.CONTACT_PRESENT or sample.overloaded or any(sample.overloads)  # any gauge at its end
+        if loaded or sample.reading is None or sample.unknown() & scalar.UNKNOWN_GAUGES:
             return codes.DEVICE_STATE
-        if sample.reading is None or any(sample.overloads) or sample.overloaded:
-            return codes.DEVICE_STATE  # a gauge at its end, any one, is a sign of load
         scaling = self.channels.scaling
         abort = self.channels.zero(gauges, sample.reading.counts if sample.filtered is None else sample.filtered)
         if self.channels.scaling != scaling:

@@ -108,7 +108,8 @@ for index, limit in ((0x6135, 200.0), (0x6134, -200.0)):
 interrupts_404("hysteresis 6136h: the hysteresis holds a value outside until it is well inside", NEEDS,
     do.put("f", 0x6135, 1, 200.0), do.put("f", 0x6136, 1, 100.0), begin, do.run(shift, 250.0),
     do.expect(PDO, within_ms=SAMPLE_MS), do.run(shift, 150.0), do.silence(PDO, ms=SAMPLE_MS), do.run(shift, 50.0),
-    do.expect(PDO, within_ms=SAMPLE_MS))
+    do.expect(PDO, within_ms=SAMPLE_MS), do.put("f", 0x6134, 1, -200.0), do.put("f", 0x6136, 1, 500.0),
+    *(step for value in (-250.0, 250.0) for step in (do.run(shift, value), do.expect(PDO, within_ms=SAMPLE_MS))))
 interrupts_404("acyclic CiA 301 7.2.2.2: type 0: an interrupt is sent with the next SYNC, once", NEEDS,
     do.put("f", 0x6133, 1, 100.0), do.run(begin, 0), do.send(0x080), do.sleep(tolerance_ms()), do.forget(PDO),
     do.run(shift, 150.0), do.sleep(5), do.send(0x080), do.expect(PDO), do.sleep(5), do.send(0x080), do.silence(PDO))
