@@ -28,7 +28,7 @@ def interrupted(device: "Device") -> "dict[int, list[int]]":
                     delta, lower, upper = [
                         float(device.od.values[index << 8 | sub]) for index in (indices.INTERRUPT_DELTA,) + limits
                     ]
-                    if delta > 0.0 or lower > low or upper < high:
+                    if delta > 0.0 or lower != low or upper != high:
                         channels.setdefault(sub, []).append(number)
     return channels
 

@@ -101,7 +101,7 @@ interrupts_404("delta_sum 6133h: small changes add up to a delta", NEEDS,
     do.expect(PDO, within_ms=SAMPLE_MS))
 
 
-for index, limit in ((0x6135, 200.0), (0x6134, -200.0)):
+for index, limit in ((0x6135, 200.0), (0x6134, -4000.0)):
     interrupts_404(f"limit {index:04X}h: the limit {index:04X}h is passed, and passed again: one TPDO each", NEEDS,
         do.put("f", index, 1, limit), begin, *(step for microstrain in (1.5 * limit, 0.0) for step in (
             do.run(shift, microstrain), do.expect(PDO, within_ms=SAMPLE_MS), do.silence(PDO, ms=SAMPLE_MS))))
