@@ -11,6 +11,7 @@ import pytest
 from canopen_conformance.case import Case, CheckError
 from canopen_conformance.dut import Dut
 from canopen_conformance.run import FAIL, NOT_APPLICABLE, PASS, run_on
+from canopen_conformance.run import run_in_process as run_on_core
 from canopen_conformance.wire import BusLink, CoreLink
 from canopen_device.core import codes, lss, pdo, sdo_block
 from canopen_device.core.emcy import Emcy
@@ -258,6 +259,11 @@ def test_minimal_device_never_crashes_a_case(constant_ms: int, passed: int, fail
     assert verdicts.count(FAIL) in failed
 
 
+def test_another_node_is_never_the_device() -> None:
+    for node_id, name in ((126, "nmt.ignored.1"), (113, "error_control.no_heartbeat.4")):
+        assert run_on_core(matching(name)[0], Device(service_dictionary(node_id)), node_id)[0].verdict == PASS
+
+
 @pytest.mark.parametrize("service", [0x080, 0x180, 0x580, 0x7E4])
 @pytest.mark.parametrize(("to", "byte", "on"), [(0, b"", 8), (2, b"", 8), (4, b"\xff", 5)])
 def test_short_frames(service: int, to: int, byte: bytes, on: int, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -272,7 +278,6 @@ def test_short_frames(service: int, to: int, byte: bytes, on: int, monkeypatch: 
 
 
 def endless(now_us: int, frames: Sent = ()) -> tuple[Sent, int]:  # type: ignore[assignment]
-    """Strings that have no end, and no reset, but a heartbeat that goes on."""
     sent = [(0x585, bytes((data[0] & 0x10 if data[0] & 0x20 else 0x41, *data[1:]))) for i, data in frames if i]
     return [*sent, (0x705, b"\x7f")], now_us + 10_000
 
