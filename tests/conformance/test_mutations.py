@@ -3,13 +3,16 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
+from unittest.mock import Mock
 
+import can
 import pytest
 
-from canopen_conformance.case import Case
+from canopen_conformance.case import Case, CheckError
 from canopen_conformance.dut import Dut
 from canopen_conformance.run import FAIL, NOT_APPLICABLE, PASS, run_on
-from canopen_conformance.wire import CoreLink
+from canopen_conformance.run import run_in_process as run_on_core
+from canopen_conformance.wire import BusLink, CoreLink
 from canopen_device.core import codes, lss, pdo, sdo_block
 from canopen_device.core.emcy import Emcy
 from canopen_device.core.error_control import HeartbeatConsumer, HeartbeatProducer, NodeGuarding
@@ -254,3 +257,36 @@ def test_minimal_device_never_crashes_a_case(constant_ms: int, passed: int, fail
     assert verdicts.count(PASS) > passed
     assert verdicts.count(NOT_APPLICABLE) > 300
     assert verdicts.count(FAIL) in failed
+
+
+def test_another_node_is_never_the_device() -> None:
+    for node_id, name in ((126, "nmt.ignored.1"), (113, "error_control.no_heartbeat.4")):
+        assert run_on_core(matching(name)[0], Device(service_dictionary(node_id)), node_id)[0].verdict == PASS
+
+
+@pytest.mark.parametrize("service", [0x080, 0x180, 0x580, 0x7E4])
+@pytest.mark.parametrize(("to", "byte", "on"), [(0, b"", 8), (2, b"", 8), (4, b"\xff", 5)])
+def test_short_frames(service: int, to: int, byte: bytes, on: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    step = Device.step
+
+    def changed(*given: Any) -> tuple[Sent, int]:
+        sent, due_us = step(*given)
+        return [(i, data[:to] + byte + data[on:] if service in (i, i & 0x780) else data) for i, data in sent], due_us
+
+    monkeypatch.setattr(Device, "step", changed)
+    assert FAIL in [run_in_process(case)[0].verdict for case in all_cases()[::7]] or to
+
+
+def endless(now_us: int, frames: Sent = ()) -> tuple[Sent, int]:  # type: ignore[assignment]
+    sent = [(0x585, bytes((data[0] & 0x10 if data[0] & 0x20 else 0x41, *data[1:]))) for i, data in frames if i]
+    return [*sent, (0x705, b"\x7f")], now_us + 10_000
+
+
+@pytest.mark.parametrize("run", [Dut.reset, lambda dut: dut.read(0x1008)])
+def test_what_has_no_end_ends_a_case(run: Callable[[Dut], object], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("canopen_conformance.dut._MOST_SEGMENTS", 100)
+    link, babbling = CoreLink(Mock(step=endless)), BusLink(Mock(recv=lambda _timeout_s: can.Message()))
+    link.tolerance_ms = 20
+    with pytest.raises(CheckError):
+        run(Dut(link, NODE_ID))
+    assert babbling.receive(babbling.now_us() - 2_000_000) is None

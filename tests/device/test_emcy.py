@@ -38,7 +38,8 @@ def test_what_waits_is_bounded() -> None:
         raised(talk, 0x5030, detail)
     talk.say("> 000#8005\n< 085#3050210000000000")
     talk.advance(1)
-    assert len(talk.take()) == MAX_WAITING - 1
+    later = talk.take()
+    assert (len(later), later[-1][1][3]) == (MAX_WAITING - 1, 3 * MAX_WAITING - 1)  # the newest is the last
 
 
 def test_an_invalid_cob_id_holds_messages_back() -> None:
@@ -58,12 +59,14 @@ def test_a_reset_of_communication_keeps_what_the_application_reported() -> None:
     raised(talk, emcy.HEARTBEAT_LOST, 7, emcy.COMMUNICATION)
     talk.advance(10)
     talk.take()
-    talk.say("> 000#8205\n< 705#00")
+    talk.say("> 000#0205")
+    raised(talk, 0x5030, 9)  # waits while STOPPED: it is active, and nobody has heard of it
+    talk.say("> 000#8205\n< 705#00\n< 085#3050310900000000")
     assert talk.get("B", 0x1001) == 0x31
-    assert talk.get("B", 0x1003) == 3
+    assert talk.get("B", 0x1003) == 4
     talk.say("> 000#8105\n< 705#00")
     assert talk.get("B", 0x1001) == 0x11  # the controller is no part of the node's reset
-    assert talk.get("B", 0x1003) == 3
+    assert talk.get("B", 0x1003) == 4
 
 
 def test_nothing_is_lost_while_the_bus_is_off() -> None:
@@ -75,8 +78,12 @@ def test_nothing_is_lost_while_the_bus_is_off() -> None:
     talk.say("< 085#3050210000000000\n+ 1\n< 085#4081210000000000")
 
 
-def test_an_error_of_an_rpdo_ends_when_the_rpdo_does() -> None:
+def test_an_error_of_a_pdo_ends_when_the_pdo_does() -> None:
     talk = serving()
+    assert talk.put("I", 0x1800, 1, 0x40000185) == 0
+    talk.say("> 185#00\n< 085#5081118501000000")
+    assert talk.put("I", 0x1800, 1, 0xC0000185) == 0
+    talk.say("< 085#0000005081850100")
     assert talk.put("I", 0x1400, 1, 0x205) == talk.put("H", 0x1400, 5, 10) == 0
     talk.say("> 000#0105\n> 205#110000\n+ 10000\n< 085#5082110502000000\n> 205#11\n< 085#1082110502000000")
     assert talk.put("I", 0x1400, 1, 0x80000205) == 0

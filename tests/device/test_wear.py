@@ -154,6 +154,8 @@ def test_what_writes_nothing_takes_nothing() -> None:
     talk.step([(0, b"\x80\x05")])
     assert store.operations == 0
     assert request(talk, 0x1F51, 1) == 0
+    talk.step([(0x605, struct.pack("<BHBI", 0x21, 0x1F50, 1, 14)), (0, b"\x01\x05"), (0x605, bytes(8))])
+    assert talk.take()[-1][1] == struct.pack("<BHBI", 0x80, 0x1F50, 1, REFUSED)  # OPERATIONAL since it began
 
 
 def test_the_budget_holds_after_a_clock_that_goes_back_and_after_a_restart() -> None:

@@ -55,6 +55,7 @@ def test_autozero_without_sync_looks_at_the_load_of_now() -> None:
     talk.source.load = PUSH
     talk.advance(200_000)
     assert talk.put("I", 0x6125, 1, ZERO) == REFUSED
+    assert [talk.put("H", 0x2130, 0, command) for command in (TARE, ZERO_GAUGES)] == [0, REFUSED]  # hidden by the tare
     assert offsets(talk) == [0.0] * 3
 
 

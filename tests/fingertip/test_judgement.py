@@ -114,10 +114,10 @@ def test_overload_hides_the_force_until_it_is_5_percent_below() -> None:
     sent = talk.frames()
     assert sent[0x285] == bytes.fromhex("008000800080") + bytes((CALIBRATED | SATURATED, sent[0x185][7]))
     assert sent[0x85] == bytes.fromhex("205021") + struct.pack("<HHx", 15, 0)
-    assert talk.get("H", 0x2124) == OVERLOAD | BEYOND
+    assert (talk.get("H", 0x2124), talk.put("H", 0x2130, 0, 3)) == (OVERLOAD | BEYOND, 0x08000022)  # no zero under it
     assert [talk.get("B", 0x6150, sub) for sub in range(1, 8)] == [0, 0, 0, 3, 3, 5, 3]
     talk.source.load = (3.9, *PUSH[1:])
-    assert talk.frames()[0x285][6] & SATURATED
+    assert (talk.frames()[0x285][6] & SATURATED, talk.put("H", 0x2130, 0, 1)) == (SATURATED, 0x08000022)  # nor a tare
     talk.source.load = (3.7, *PUSH[1:])
     sent = talk.frames()
     assert sent[0x85] == bytes.fromhex("000000") + struct.pack("<HHx", 0x5020, 15)
@@ -179,3 +179,6 @@ def test_health_is_sent_on_a_change_at_most_every_10_ms() -> None:
     assert sent[:1] == [1]
     assert [b - a for a, b in pairwise(sent)] == [10] * (len(sent) - 1)
     assert len(sent) == 4
+    assert talk.put("I", 0x1803, 1, 0xC0000485) == talk.put("B", 0x1803, 2, 0) == talk.put("I", 0x1803, 1, 0x40000485)
+    sent = [0x485 in talk.frames() for talk.source.temperature in (2900, 2900, 3100, 3100, 2900)]
+    assert sent[1:] == [False, True, False, True]  # of type 0: with the SYNC of the change

@@ -262,6 +262,14 @@ def test_health_goes_out_before_the_first_pdo_of_the_new_meaning(talk: Finger) -
     assert sent[0][1][6] == counter(talk) == 4
 
 
+def test_damaged_scaling_ends_the_calibration_that_was_made_with_it() -> None:
+    store = MemoryStore()
+    assert finger(store=store).put("I", 0x1010, 1, SAVE) == 0
+    store.groups["application"] = b"\0"
+    again = finger(store=store, calibrated=False)
+    assert (again.sync().status & 0x02, again.get("I", 0x1003, 1)) == (0, 0x6320)
+
+
 def test_a_store_of_version_1_is_refused() -> None:
     store = MemoryStore()
     talk = finger(store=store)

@@ -4,6 +4,7 @@ import argparse
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 from canopen_conformance.case import Case, LostDeviceError, all_cases, by_clause, matching
 from canopen_conformance.dut import Dut
@@ -36,10 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser, node_id: Callable[[str], int]
 
 
 def _node_id(text: str) -> int:
-    value = int(text, 0)
-    if not 1 <= value <= 127:
-        raise argparse.ArgumentTypeError(f"{text}: allowed is 1 to 127")
-    return value
+    with suppress(ValueError):
+        if 1 <= (value := int(text, 0)) <= 127:
+            return value
+    raise argparse.ArgumentTypeError(f"{text}: allowed is 1 to 127")
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -67,13 +68,16 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
-    import can
-
+    try:
+        import can
+    except ImportError:
+        print("python-can is missing: pip install python-can", file=sys.stderr)
+        return 2
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     options = {name: getattr(args, name) for name in ("interface", "channel", "bitrate") if getattr(args, name)}
     try:
         bus = can.Bus(**options)
-    except (can.CanError, OSError, ValueError, ImportError) as error:
+    except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
         print(f"the bus cannot be opened: {error}", file=sys.stderr)
         return 2
     try:

@@ -22,6 +22,7 @@ _MAY_REFUSE = (
 BOOT_MS = 5000  # real devices may take long
 _BEAT_MS = 20
 _SLOW_RESET_MS = 250
+_MOST_SEGMENTS = 20_000  # of an upload: 140 kB
 _KEPT = 5000  # bounds the memory on a bus with traffic of other nodes
 
 Wanted: TypeAlias = str | Callable[[bytes], bool] | None
@@ -74,12 +75,14 @@ class Dut:
         return frame
 
     def heard(self, can_id: int, within_ms: float = wire.ANSWER_MS) -> Frame | None:
-        """Return the next frame with ``can_id``, None if none arrives in time."""
+        """Return the next frame with ``can_id``, None if none arrives in time. One of EMCY, SDO and LSS has 8 bytes."""
+        full = can_id in (wire.EMCY, wire.SDO, 0x7E4)
         can_id, limit_us = self._can_id(can_id), self.now_us + round(1000 * (within_ms + self.link.tolerance_ms))
         while True:
             for frame in self._pending:
                 if frame.can_id == can_id:
                     self._pending.remove(frame)
+                    check(len(frame.data) == 8 or not full, "8 bytes", wire.text(can_id, frame.data))
                     return frame
             if not self._pump(limit_us):
                 return None
@@ -208,6 +211,7 @@ class Dut:
             frame = self.expect(wire.HEARTBEAT, within_ms=max(0, limit_us - self.now_us) / 1000)
             if frame.data == b"\0":
                 return frame
+            check(self.now_us < limit_us, f"the boot-up message within {BOOT_MS} ms", "other heartbeats alone")
 
     def beat(self) -> None:
         """Set a short heartbeat period, which shows the NMT state."""
@@ -233,9 +237,7 @@ class Dut:
         """Return the next SDO frame of the device; hex text is padded to 8 bytes with 00."""
         if isinstance(wanted, str) and not wanted.endswith("*"):
             wanted += " 00" * (8 - len(wanted.replace(" ", "")) // 2)
-        data = self.expect(wire.SDO, wanted, within_ms).data
-        check(len(data) == 8, "an SDO response of 8 bytes", f"{len(data)} bytes")
-        return data
+        return self.expect(wire.SDO, wanted, within_ms).data
 
     def ask(self, data: bytes | str, wanted: Wanted = None) -> bytes:
         """Send a request and return the response."""
@@ -270,12 +272,13 @@ class Dut:
     def read_segments(self) -> bytes:
         """Read the segments of an initiated upload."""
         data, toggle = b"", 0
-        while True:
+        for _ in range(_MOST_SEGMENTS):
             part = self.ask(bytes((0x60 | toggle,)), lambda d, t=toggle: d[0] & 0xF0 == t)  # type: ignore[misc]
             data += part[1 : 8 - (part[0] >> 1 & 7)]
             if part[0] & 1:
                 return data
             toggle ^= 0x10
+        raise CheckError(f"at most {_MOST_SEGMENTS} segments", "no last one")
 
     def try_write(self, index: int, sub: int, data: bytes) -> int:
         """Download, expedited or segmented: return 0, or the abort code."""

@@ -32,6 +32,7 @@ ANSWER_MS = 200  # timeout of a response
 QUIET_MS = 30  # waiting time for a forbidden frame
 DEFAULT_TOLERANCE_MS, MOST_TOLERANCE_MS = 20, 60_000  # of measured times on a bus
 _MOST_STEPS_AT_ONCE = 1000
+_DRAIN_US = 1_000_000  # for frames that came in time
 
 
 class Abort:
@@ -164,15 +165,15 @@ class BusLink:
             raise LostDeviceError(f"the bus no longer accepts frames: {error}") from error
 
     def receive(self, until_us: int) -> Frame | None:
-        """Return the next classic CAN frame."""
-        while True:
-            left_s = max(0.0, (until_us - self.now_us()) * 1e-6)
-            message = self._bus.recv(left_s)
+        """Return the next classic CAN frame; long after ``until_us`` none, even of a bus that has ever more."""
+        while (left_us := until_us - self.now_us()) > -_DRAIN_US:
+            message = self._bus.recv(max(0.0, left_us * 1e-6))
             if message is None:
                 return None
             if not (message.is_fd or message.is_error_frame):
                 flags = EXTENDED_FLAG * message.is_extended_id | REMOTE_FLAG * message.is_remote_frame
                 return Frame(message.arbitration_id | flags, bytes(message.data), self.now_us())
+        return None
 
 
 Link: TypeAlias = CoreLink | BusLink

@@ -29,6 +29,7 @@ class Emcy(Timed):
         super().__init__(device)
         self._history: "list[int]" = []
         self._active: "dict[tuple[int, int], int]" = {}
+        self._waiting: "list[bytes]" = []
         self.reset(True)
         od = device.od
         subs = od.subs(communication.ERROR_HISTORY)
@@ -39,13 +40,18 @@ class Emcy(Timed):
         od.writers[communication.COB_ID_EMCY] = self._write_cob_id
 
     def reset(self, whole: bool) -> None:
-        """Discard queued messages and the active errors whose monitors restart with this reset: not the controller's,
-        and after a communication reset not the application's. The history stays until power-off or 0 in 1003h:0."""
+        """Discard the active errors whose monitors restart with this reset: not the controller's, and after a
+        communication reset not the application's. What stays active is still reported where its message waited. The
+        history stays until power-off or 0 in 1003h:0."""
         lowest = CAN_OVERRUN if whole else 0
         self._active = {key: bits for key, bits in self._active.items() if lowest <= key[0] <= ERROR_PASSIVE}
-        self._waiting: "list[bytes]" = []
+        waiting, self._waiting = self._waiting, []
         self._free_us = 0
         self._update_register()
+        for data in waiting:
+            code, _register, detail = struct.unpack("<HBH", data[:5])
+            if (code, detail) in self._active:
+                self._queue(struct.pack("<HBHHx", code, self.register, detail, 0))
         self.schedule()
 
     def raise_error(self, code: int, bits: int, detail: int = 0) -> None:
@@ -85,8 +91,8 @@ class Emcy(Timed):
         self.schedule()
 
     def _queue(self, data: bytes) -> None:
-        if len(self._waiting) < MAX_WAITING:
-            self._waiting.append(data)
+        del self._waiting[MAX_WAITING - 1 :]  # the newest replaces the last: its register is that of now
+        self._waiting.append(data)
         self.schedule()
 
     def schedule(self) -> None:

@@ -33,9 +33,7 @@ class LssSlave:
 
     @bit_rate.setter
     def bit_rate(self, value: int) -> None:
-        for index, bit_rate in BIT_RATES.items():
-            if bit_rate == value:
-                self._bit_rate_index = index
+        self._bit_rate_index = {rate: index for index, rate in BIT_RATES.items()}.get(value, self._bit_rate_index)
 
     def restore(self, blob: "bytes | None") -> None:
         """Apply the stored node-id and bit rate, if any."""

@@ -1,7 +1,7 @@
 """A CANopen device as a pure state machine (CiA 301): frames and time in, frames and the next due time out."""
 
 from . import codes, communication
-from .emcy import BusFaults, Emcy
+from .emcy import COB_ID_COLLISION, BusFaults, Emcy
 from .error_control import HeartbeatConsumer, HeartbeatProducer, NodeGuarding
 from .pdo import ReceivePdos, TransmitPdos
 from .sdo_server import SdoServer
@@ -237,8 +237,9 @@ class Device:
         routes: "dict[int, Callable[[bytes], None]]" = {}
         if self.node_id != codes.LSS_UNCONFIGURED:
             # Identifiers that only this node may send; a service that receives the same identifier takes precedence.
-            own = [codes.SDO_RESPONSE_BASE + self.node_id, codes.HEARTBEAT_BASE + self.node_id]
-            for can_id in self.tpdos.can_ids() + own:
+            own = [codes.SDO_RESPONSE_BASE + self.node_id, codes.HEARTBEAT_BASE + self.node_id] + self.tpdos.can_ids()
+            self.emcy.cure_all_but(COB_ID_COLLISION, own)
+            for can_id in own:
                 routes[can_id] = self.bus_faults.collision(can_id)
             routes[codes.HEARTBEAT_BASE + self.node_id | codes.REMOTE_FLAG] = self.guarding.receive
             routes.update(self.heartbeat_consumer.routes())

@@ -324,10 +324,10 @@ class TransmitPdos(Timed):
             self._reschedule()
 
     def announce(self, index: int) -> None:
-        """Send each event-driven TPDO that maps an object at once, or as soon as its inhibit time allows."""
+        """Send each event-driven TPDO that maps an object at once, or as its type and inhibit time allow."""
         for k, pdo in enumerate(self._pdos):
-            if self._is_timed(pdo) and (index, 0) in pdo.keys:
-                if pdo.free_us <= self._device.now_us:
+            if (index, 0) in pdo.keys:
+                if self._is_timed(pdo) and pdo.free_us <= self._device.now_us:
                     self._send(pdo, self._device.now_us)
                     self._reschedule()
                 else:

@@ -64,7 +64,7 @@ class ProgramDownload:
 
     def write(self, part: bytes) -> int:
         """Write the next bytes of a download; return 0 or an abort code."""
-        return _ABORTS[self._programs.write(part)]
+        return codes.DEVICE_STATE if self._refuses() else _ABORTS[self._programs.write(part)]
 
     def end(self) -> int:
         """Check the downloaded image; return 0 or an abort code."""

@@ -49,7 +49,7 @@ class BlockDownload:
         self._with_crc = with_crc
         self._buffer = bytearray()  # what the sink has not: the segments of this block, or the last ones
         self._length = self._crc = 0  # of what the sink has
-        self._expected = 1
+        self._expected, self._latest = 1, 0  # segment numbers of this block
         self._ending, self._patience = False, True
         server.answer(server.head(0xA0 | _WITH_CRC) + bytes((MAX_BLOCK,)))
 
@@ -88,13 +88,14 @@ class BlockDownload:
             if self._length + len(self._buffer) - (7 if last else 0) > self._limit:
                 self._server.abort(codes.TOO_LONG)
                 return
+        latest, self._latest = self._latest, number
         if last or number == MAX_BLOCK:
             self._acknowledge()
-        else:
+        elif number > latest:  # what repeats itself, as a request that starts with 40h does, holds the server no longer
             self._server.wait()
 
     def _acknowledge(self) -> None:
-        received, self._expected = self._expected - 1, 1
+        received, self._expected, self._latest = self._expected - 1, 1, 0
         if not self._ending:
             part, self._buffer = bytes(self._buffer), bytearray()
             self._count(part)

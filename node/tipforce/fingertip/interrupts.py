@@ -43,7 +43,7 @@ class Interrupts:
             return _UNKNOWN
         lower, upper, hysteresis = [self._setting(index, sub) for index in _LIMITS]
         before = self._zones.get(sub, _INSIDE)
-        if value < lower or (before == _BELOW and value < lower + hysteresis):
+        if value < lower or (before == _BELOW and value < lower + hysteresis and value <= upper):
             return _BELOW
         if value > upper or (before == _ABOVE and value > upper - hysteresis):
             return _ABOVE

@@ -88,7 +88,10 @@ class Fingertip(Application):
         self._forget(now_us)
         self.load_filter()
         self.reports.reset()
-        if "calibration" in self.device.storage.damaged or self.calibration.refused:
+        damaged = self.device.storage.damaged
+        if "application" in damaged:
+            self.calibration.restore(None)  # it held for the scaling that is lost
+        if "calibration" in damaged or "application" in damaged or self.calibration.refused:
             self.device.emcy.raise_error(table.EMCY_CALIBRATION_INVALID, emcy.MANUFACTURER)
 
     def on_settings(self) -> None:
@@ -253,19 +256,21 @@ class Fingertip(Application):
 
     def tare(self) -> int:
         """Take the present force as zero; refused while the force is unknown."""
-        last = self._newest()
-        # The same reading once more, without tare and with what holds now: a tare that follows another, a zero or a
-        # commit within one sample must not count anything twice.
-        scaling, active = self.channels.scaling, self.calibration.active
-        now = Sample(
-            last.reading, scaling, active, faults=last.faults, stale=last.stale, frozen=last.frozen,
-            filtered=last.filtered, ends=self.ends, spans=self.channels.spans,
-        )  # fmt: skip
+        now = self._untared(self._newest())
         if now.unknown() & scalar.UNKNOWN_FORCE:
             return codes.DEVICE_STATE
         self._set_tare(now.force())
         self._tared_us = self.device.now_us
         return 0
+
+    def _untared(self, last: Sample) -> Sample:
+        """The same reading once more, without tare and with what holds now: a tare that follows another, a zero or a
+        commit within one sample must not count anything twice."""
+        return Sample(
+            last.reading, self.channels.scaling, self.calibration.active, faults=last.faults, stale=last.stale,
+            frozen=last.frozen, filtered=last.filtered, ends=self.ends, was_overloaded=last.overloaded,
+            spans=self.channels.spans,
+        )  # fmt: skip
 
     def _set_tare(self, tare: "tuple[float, float, float]") -> None:
         if tare != self._tare:
@@ -273,12 +278,13 @@ class Fingertip(Application):
             self.reports.changed()
 
     def zero(self, gauges: "range | list[int]") -> int:
-        """Make gauges (from 0) read zero now, by x124h; refused while contact is present or cannot be ruled out."""
+        """Make gauges (from 0) read zero now, by x124h; refused while contact is present, tared or not, or cannot be
+        ruled out."""
         sample = self._newest()
-        if sample.status() & scalar.CONTACT_PRESENT or sample.unknown() & scalar.UNKNOWN_GAUGES:
+        status = sample.status() | (0 if self._tare == NO_TARE else self._untared(sample).status())
+        loaded = status & scalar.CONTACT_PRESENT or sample.overloaded or any(sample.overloads)  # any gauge at its end
+        if loaded or sample.reading is None or sample.unknown() & scalar.UNKNOWN_GAUGES:
             return codes.DEVICE_STATE
-        if sample.reading is None or any(sample.overloads):
-            return codes.DEVICE_STATE  # a gauge at its end, any one, is a sign of load
         scaling = self.channels.scaling
         abort = self.channels.zero(gauges, sample.reading.counts if sample.filtered is None else sample.filtered)
         if self.channels.scaling != scaling:

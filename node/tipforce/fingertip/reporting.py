@@ -28,7 +28,7 @@ def interrupted(device: "Device") -> "dict[int, list[int]]":
                     delta, lower, upper = [
                         float(device.od.values[index << 8 | sub]) for index in (indices.INTERRUPT_DELTA,) + limits
                     ]
-                    if delta > 0.0 or lower > low or upper < high:
+                    if delta > 0.0 or lower != low or upper != high:
                         channels.setdefault(sub, []).append(number)
     return channels
 
@@ -104,13 +104,13 @@ class Reports:
                 self._device.emcy.raise_error(error[0], register, error[1])
 
     def _request_faults(self) -> None:
-        """Send the TPDOs that map 2124h, at most every FAULTS_PERIOD_US."""
+        """Send the TPDOs that map 2124h, at most every FAULTS_PERIOD_US; those of type 0 with the next SYNC."""
         now_us = self._device.now_us
-        if self._next_us - FAULTS_PERIOD_US >= now_us:
-            return  # one is due already
-        due_us = max(now_us, self._next_us)
-        for number, transmission, keys in self._device.tpdos.mapped():
-            if transmission >= EVENT_DRIVEN and (indices.FAULTS, 0) in keys:
+        due_us = self._next_us - FAULTS_PERIOD_US  # the one that is due already, or else was the last
+        if due_us <= now_us:
+            due_us = max(now_us, self._next_us)
+        for number, _transmission, keys in self._device.tpdos.mapped():
+            if (indices.FAULTS, 0) in keys:
                 self._device.tpdos.request(number, due_us)
                 self._next_us = due_us + FAULTS_PERIOD_US
 

@@ -106,6 +106,7 @@ for index, name in BOTH:
     storage(f"size 7.5.2.13: {name}: two bytes are refused by their length", GROUP,
         do.refuses("H", index, 1, 0x6173, Abort.TOO_SHORT, Abort.WRONG_LENGTH))
     storage(f"no_group 7.5.2.13: {name} of a group that is not there: 06090011h", GROUP,
+        do.between("B", index, 0, 1, 0xFE),
         do.run(lambda dut, index: dut.refuses("I", index, dut.integer("B", index, 0) + 1, SAVE, Abort.NO_SUB), index))
 for command, name in RESETS:
     storage(f"not_stored 7.5.2.13: what is not stored is lost by {name}", ((0x1016, 1),),

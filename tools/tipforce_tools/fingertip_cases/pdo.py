@@ -101,14 +101,15 @@ interrupts_404("delta_sum 6133h: small changes add up to a delta", NEEDS,
     do.expect(PDO, within_ms=SAMPLE_MS))
 
 
-for index, limit in ((0x6135, 200.0), (0x6134, -200.0)):
+for index, limit in ((0x6135, 200.0), (0x6134, -4000.0)):
     interrupts_404(f"limit {index:04X}h: the limit {index:04X}h is passed, and passed again: one TPDO each", NEEDS,
         do.put("f", index, 1, limit), begin, *(step for microstrain in (1.5 * limit, 0.0) for step in (
             do.run(shift, microstrain), do.expect(PDO, within_ms=SAMPLE_MS), do.silence(PDO, ms=SAMPLE_MS))))
 interrupts_404("hysteresis 6136h: the hysteresis holds a value outside until it is well inside", NEEDS,
     do.put("f", 0x6135, 1, 200.0), do.put("f", 0x6136, 1, 100.0), begin, do.run(shift, 250.0),
     do.expect(PDO, within_ms=SAMPLE_MS), do.run(shift, 150.0), do.silence(PDO, ms=SAMPLE_MS), do.run(shift, 50.0),
-    do.expect(PDO, within_ms=SAMPLE_MS))
+    do.expect(PDO, within_ms=SAMPLE_MS), do.put("f", 0x6134, 1, -200.0), do.put("f", 0x6136, 1, 500.0),
+    *(step for value in (-250.0, 250.0) for step in (do.run(shift, value), do.expect(PDO, within_ms=SAMPLE_MS))))
 interrupts_404("acyclic CiA 301 7.2.2.2: type 0: an interrupt is sent with the next SYNC, once", NEEDS,
     do.put("f", 0x6133, 1, 100.0), do.run(begin, 0), do.send(0x080), do.sleep(tolerance_ms()), do.forget(PDO),
     do.run(shift, 150.0), do.sleep(5), do.send(0x080), do.expect(PDO), do.sleep(5), do.send(0x080), do.silence(PDO))
@@ -139,7 +140,7 @@ def counter(dut: Dut) -> None:
     for _ in range(260):
         dut.sleep(1)
         dut.send(0x080)
-        value = dut.expect(PDO).data[0]
+        value = int.from_bytes(dut.expect(PDO).data, "little")
         check(last < 0 or value == (last + 1) & 0xFF, str((last + 1) & 0xFF), str(value))
         last = value
 

@@ -21,7 +21,7 @@ PARTS = ("gauge", "force", "magnitude", "direction", "contact angle")
 
 def gauges(dut: Dut) -> int:
     """How many gauges the device has."""
-    return dut.product_code & 0xFF
+    return dut.product_code & 0xF
 
 
 def channel(dut: Dut, part: str) -> int:
