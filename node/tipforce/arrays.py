@@ -1,6 +1,7 @@
 """Names of numpy's array types; shapes and units are in the docstrings that use them."""
 
 import numbers
+import operator
 from decimal import Decimal
 from typing import Any
 
@@ -38,3 +39,20 @@ def floats(name: str, values: npt.ArrayLike) -> FloatArray:
         return np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"{name}: {shortened(' '.join(repr(values).split()))} is no array of numbers") from None
+
+
+def real(value: object) -> float:
+    """Return a number of any real type; NaN for what is none."""
+    return float(value) if isinstance(value, numbers.Real) else float("nan")
+
+
+def whole(name: str, value: object, within: range | None = None) -> int:
+    """Return an integer of any type. Raises InputError naming ``name`` for what is none, or not ``within``."""
+    try:
+        number = operator.index(value)  # type: ignore[arg-type]  # the TypeError is the check
+        if within is None or number in within:
+            return number
+    except TypeError:
+        pass
+    allowed = "integers" if within is None else f"{within[0]} to {within[-1]}"
+    raise InputError(f"{name} {value!r}: allowed are {allowed}")

@@ -124,6 +124,10 @@ def test_what_the_node_does_not_know_is_not_a_number() -> None:
     beyond = [one for one in samples(model, data, tips, 50) if one.load.P_newtons > 100.0]
     assert len(beyond) > 5
     assert all(Status.SATURATED in one.status and np.isnan(one.P_newtons) for one in beyond)
+    push(model, data, "ball", np.array([0.0, -2.0, 0.0]))
+    mujoco.mj_step(model, data, 200)
+    data.efc_force[:] = np.nan
+    assert np.isnan([tips.read(data)["thumb"].load.P_newtons, tips.loads(data)["thumb"].cancelled_newtons]).all()
 
 
 FOUR = Calibration(np.ones((3, 4)), np.zeros(4), np.eye(4))
@@ -133,7 +137,9 @@ BAD: list[tuple[dict[str, str], dict[str, Any], str]] = [
     ({}, {}, r"sites: allowed is one finger or more"),
     (SITES, {"node_ids": {"thumb": 128}}, r"node_ids \[128\]: allowed are different ones from 1 to 127"),
     (SITES, {"node_ids": {"index": 1}}, r"node_ids of index: allowed are those of thumb"),
-    *((SITES, {"noise_microstrain": noise}, r"= .*: allowed is 0 to 1e\+06") for noise in (-1.0, np.nan, 1e300)),
+    *((SITES, {"node_ids": {"thumb": node_id}}, r"allowed are different ones from 1 to 127") for node_id in (1.5, "1")),
+    *((SITES, {"noise_microstrain": noise}, r"= .*: allowed is 0 to 1e\+06") for noise in (-1.0, np.nan, 1e300, "1")),
+    (SITES, {"seed": "1"}, r"seed '1': allowed are integers"),
     (SITES, {"calibration": FOUR}, r"calibration of 4 gauges: the layout has 3"),
 ]
 

@@ -11,6 +11,7 @@ from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import Decoder, Samples
 from tipforce.host.network.bus import Bus
+from tipforce.host.network.sdo import checked_time
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,11 +39,12 @@ class PolledHand:
         unknown = [name for name in messages if not bases.get(name)]
         if unknown:
             raise InputError(f"message {unknown[0]!r}: allowed are {', '.join(name for name in bases if bases[name])}")
-        if not node_ids or len(set(node_ids)) != len(node_ids):
-            raise InputError(f"node-ids {list(node_ids)}: allowed is each node-id once")
         self.connection = connection
-        self.node_ids = tuple(node_ids)
-        self.fingers = {n: connection.finger(n) for n in self.node_ids}
+        fingers = [connection.finger(node_id) for node_id in node_ids]
+        self.node_ids = tuple(finger.node_id for finger in fingers)
+        if not fingers or len(set(self.node_ids)) != len(fingers):
+            raise InputError(f"node-ids {list(self.node_ids)}: allowed is each node-id once")
+        self.fingers = dict(zip(self.node_ids, fingers, strict=True))
         self._expected = {bases[name] + n for name in messages for n in self.node_ids}
         self._decoder = Decoder(gauges, self.node_ids)
 
@@ -57,7 +59,9 @@ class PolledHand:
             self.connection.nmt("preop", node_id)
 
     def sample(self, timeout_s: float = 0.1) -> HandSample:
-        """Send one SYNC and collect the answers; a finger without an answer in time is marked missing."""
+        """Send one SYNC and collect the answers; a finger without an answer in time is marked missing. Raises
+        InputError for a time-out that is not 0 s or more."""
+        timeout_s = checked_time("timeout_s", timeout_s)
         self.connection.buffer.clear()
         self.connection.sync()
         frames = self.connection.buffer.take(self._expected, time.monotonic() + timeout_s)

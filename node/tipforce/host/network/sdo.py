@@ -18,6 +18,7 @@ import can
 from canopen_device.core import codes
 from canopen_device.core.sdo_client import SWITCH_BYTES, BlockDownload, BlockUpload, Download, Transfer, Upload
 from canopen_device.types import Value
+from tipforce.arrays import real
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.entries import Entry, gauges_of
 from tipforce.dictionary.table import MIN_GAUGES
@@ -41,6 +42,7 @@ _STEP_S = 0.002
 _MOST_PROBES = 16
 _DOMAIN = "D"  # the only type of objects that are long on a fingertip
 LONGEST_WAIT_S = 10.0
+_LONGEST_S = 1e9  # of a time limit: a lock cannot wait for an infinite time
 _FULL_QUEUE_US = 2000  # pause after the bus refused a segment of a block: its transmit queue is full
 _REFUSALS = (can.CanError, OSError, RuntimeError)  # the last for a closed bus
 
@@ -59,9 +61,9 @@ class Request:
 
 def checked_time(name: str, time_s: float) -> float:
     """Return a time limit. Raises InputError naming it where it is not 0 s or more; NaN would wait for ever."""
-    if not time_s >= 0.0:
+    if not real(time_s) >= 0.0:
         raise InputError(f"{name} = {time_s!r}: allowed is 0 s or more")
-    return time_s
+    return min(real(time_s), _LONGEST_S)
 
 
 class SdoChannel:
