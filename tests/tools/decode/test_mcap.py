@@ -177,3 +177,6 @@ def test_a_file_of_other_messages_and_a_damaged_one(files: Path, printed: Printe
         writer.start()
         writer.finish()  # type: ignore[no-untyped-call]
     assert "no CAN frames (can_msgs/msg/Frame) in it" in printed(1, f"decode {files}/other.mcap").err
+    write_log(files / "later.log", ["(2147483648.000000) can0 285#0102030405060708"])
+    err = printed(2, f"decode {files}/later.log -o {files}/later.mcap").err
+    assert "a time of 2147483648.000000 s: allowed in ROS 2 are 0 to 2147483647 s" in err
