@@ -2,6 +2,7 @@
 
 import numbers
 import operator
+from contextlib import suppress
 from decimal import Decimal
 from typing import Any
 
@@ -48,11 +49,7 @@ def real(value: object) -> float:
 
 def whole(name: str, value: object, within: range | None = None) -> int:
     """Return an integer of any type. Raises InputError naming ``name`` for what is none, or not ``within``."""
-    try:
-        number = operator.index(value)  # type: ignore[arg-type]  # the TypeError is the check
-        if within is None or number in within:
-            return number
-    except TypeError:
-        pass
-    allowed = "integers" if within is None else f"{within[0]} to {within[-1]}"
-    raise InputError(f"{name} {value!r}: allowed are {allowed}")
+    with suppress(TypeError):  # of what is no integer
+        if within is None or operator.index(value) in within:  # type: ignore[arg-type]
+            return operator.index(value)  # type: ignore[arg-type]
+    raise InputError(f"{name} {value!r}: allowed are {f'{within[0]} to {within[-1]}' if within else 'integers'}")

@@ -119,11 +119,9 @@ def test_a_model_that_is_reset_goes_on_and_one_that_stands_still_is_refused(
         else:
             mujoco.mj_step(model, data)
 
-    for syncs in (3, 1):
-        for _ in range(syncs):
-            sent(buses[1], 0x80)
-        waiting = iter([False] * syncs)
-        nodes.follow_sync(step, 0.002, lambda waiting=waiting: next(waiting, True))
+    for _ in range(4):
+        sent(buses[1], 0x80)
+    nodes.follow_sync(step, 0.002, iter([False] * 4 + [True]).__next__)
     assert next(calls) == 1 + 17  # 4 SYNCs of 4 steps, and the reset
     assert data.time == pytest.approx(7 * 0.0005)
     sent(buses[1], 0x80)

@@ -33,12 +33,9 @@ class TwinNodes(AbstractContextManager["TwinNodes"]):
     let ``follow_sync`` (reproducible) or ``follow_clock`` step. ``on_frame`` gets received (COB-ID, data)."""
 
     def __init__(
-        self,
-        tips: Fingertips,
-        data: mujoco.MjData,
-        bus: can.BusABC,
+        self, tips: Fingertips, data: mujoco.MjData, bus: can.BusABC,
         on_frame: Callable[[int, bytes], object] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._tips, self._data, self._on_frame = tips, data, on_frame
         self._port = PythonCanPort(bus)
         self._due_us = 0

@@ -40,11 +40,10 @@ class PolledHand:
         if unknown:
             raise InputError(f"message {unknown[0]!r}: allowed are {', '.join(name for name in bases if bases[name])}")
         self.connection = connection
-        fingers = [connection.finger(node_id) for node_id in node_ids]
-        self.node_ids = tuple(finger.node_id for finger in fingers)
-        if not fingers or len(set(self.node_ids)) != len(fingers):
-            raise InputError(f"node-ids {list(self.node_ids)}: allowed is each node-id once")
-        self.fingers = dict(zip(self.node_ids, fingers, strict=True))
+        self.fingers = {finger.node_id: finger for finger in map(connection.finger, node_ids)}
+        self.node_ids = tuple(self.fingers)
+        if not 0 < len(self.fingers) == len(node_ids):
+            raise InputError(f"node-ids {list(node_ids)}: allowed is each node-id once")
         self._expected = {bases[name] + n for name in messages for n in self.node_ids}
         self._decoder = Decoder(gauges, self.node_ids)
 
@@ -59,8 +58,7 @@ class PolledHand:
             self.connection.nmt("preop", node_id)
 
     def sample(self, timeout_s: float = 0.1) -> HandSample:
-        """Send one SYNC and collect the answers; a finger without an answer in time is marked missing. Raises
-        InputError for a time-out that is not 0 s or more."""
+        """Send one SYNC and collect the answers; a finger without one is marked missing. Raises InputError for NaN."""
         timeout_s = checked_time("timeout_s", timeout_s)
         self.connection.buffer.clear()
         self.connection.sync()

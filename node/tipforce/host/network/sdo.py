@@ -42,7 +42,6 @@ _STEP_S = 0.002
 _MOST_PROBES = 16
 _DOMAIN = "D"  # the only type of objects that are long on a fingertip
 LONGEST_WAIT_S = 10.0
-_LONGEST_S = 1e9  # of a time limit: a lock cannot wait for an infinite time
 _FULL_QUEUE_US = 2000  # pause after the bus refused a segment of a block: its transmit queue is full
 _REFUSALS = (can.CanError, OSError, RuntimeError)  # the last for a closed bus
 
@@ -63,7 +62,7 @@ def checked_time(name: str, time_s: float) -> float:
     """Return a time limit. Raises InputError naming it where it is not 0 s or more; NaN would wait for ever."""
     if not real(time_s) >= 0.0:
         raise InputError(f"{name} = {time_s!r}: allowed is 0 s or more")
-    return min(real(time_s), _LONGEST_S)
+    return min(real(time_s), 0.5 * threading.TIMEOUT_MAX)  # no lock waits for an infinite time
 
 
 class SdoChannel:
