@@ -59,6 +59,19 @@ gain = 100.0
 zero_volts = 2.5
 """
 WRONG = [
+    (
+        "iio:a/voltage0,b,c",
+        BRIDGE + "count_range = [0, 9]\nvolts_per_count = 1e300",
+        "1000 microstrain are 2.5e-300 and",
+    ),
+    *(
+        (
+            "iio:a/voltage0,a/voltage1,b",
+            BRIDGE + f'count_range = [0, 9]\nsupply = "{supply}"',
+            f"'{supply}': allowed is one",
+        )
+        for supply in ("a/voltage0,b", "ip:host/a/voltage0", "a")
+    ),
     ("iio:", BRIDGE, "--source iio:: allowed are sim, iio:DEVICE"),
     ("iio:x/", BRIDGE, "no such device"),
     ("iio:,", BRIDGE, "'' is not a device"),
@@ -166,6 +179,9 @@ def test_a_supply_that_is_measured(tree: Tree, started: Started) -> None:
         reading = source.read(0)
         assert reading is not None
         assert reading.faults == faults, millivolts
+    tree.remove(0)
+    tree.add(4, "a", {"voltage3": 2500}, in_voltage_scale="1.0")  # it is back under another number
+    assert [source._supply_fault(), source._supply_fault()] == [True, False]
 
 
 def test_without_a_scale_the_table_must_state_volts_per_count(
@@ -179,14 +195,14 @@ def test_without_a_scale_the_table_must_state_volts_per_count(
     def refuse(_path: Path, _channel: str, name: str) -> float | None:
         if name == "scale":
             raise OSError(errno.EINVAL, "Invalid argument")
-        return None
+        return -1000.0
 
     monkeypatch.setattr(iio_sysfs, "attribute", refuse)
     said = refused(path, "iio:a")
     assert "does not state its scale (Invalid argument: no regulator)" in said
     assert "[bridge] volts_per_count" in said
     path.write_text(BRIDGE + "volts_per_count = 0.001\n")
-    assert started(path, "iio:a")[0].od.get(0x6122, 1) == 2500 + 1000
+    assert started(path, "iio:a")[0].od.get(0x6122, 1) == 2500 + 1000 + 1000
 
 
 @pytest.mark.parametrize(("words", "text", "message"), WRONG)
@@ -320,9 +336,14 @@ def test_a_recording_of_candump(tmp_path: Path, started: Started, refused: Refus
         "(1.001000) can0 185#0A00ECFF1E000A01",  # stale: nothing new
         "(1.002000) can0 185#FF7F0180008002",  # too short for its mapping
         "(1.003000) can0 185#FF7F018005000602",  # saturated at both ends
+        "(1.003500) can0 185#0A00ECFF1E000603",  # saturated inside: the flag does not say which gauge
         "(1.004000) can0 186#0100010001000201",
     )
     path.write_text("\n".join(lines) + "\n")
     assert f"contains gauges of the nodes 5, 6; choose one: {path}@5" in refused("I", f"replay:{path}")
     _, source = started("I", f"replay:{path}@5")
-    assert counts(source, 0, 1500, 3500) == [(10, -20, 30), None, (32767, -32768, 5)]
+    assert counts(source, 0, 1500, 3000, 3500) == [(10, -20, 30), None, (32767, -32768, 5), None]
+    assert counts(started("I", f"replay:{path}@5", "--bits", "24")[1], 0, 3000)[1] == (0x7FFFFF, -0x800000, 1280)
+    assert "speed 1e+300, allowed is a positive number up to 1e9" in refused(
+        "I", f"replay:{path}@5", "--speed", "1e300"
+    )

@@ -33,15 +33,9 @@ class IioSource(Source):
     watch_us = WATCH_US
 
     def __init__(
-        self,
-        parts: Sequence[PolledDevice],
-        gauges: int,
-        converter: table.Converter,
-        ends: tuple[int, int],
-        supply_fault: Callable[[], bool] | None = None,
-        scan_period_us: int = 0,
-        clock: Callable[[], int] = now_us,
-    ) -> None:
+        self, parts: Sequence[PolledDevice], gauges: int, converter: table.Converter, ends: tuple[int, int],
+        supply_fault: Callable[[], bool] | None = None, scan_period_us: int = 0, clock: Callable[[], int] = now_us,
+    ) -> None:  # fmt: skip
         self.parts = list(parts)
         self.converter = converter
         self.count_min, self.count_max = ends
@@ -126,7 +120,10 @@ class IioSource(Source):
                 if now_us < lost_until_us:
                     return NO_DATA
                 part.reopen()
-            self._fresh[k] = part.read(now_us)
+            fresh = part.read(now_us)
+            if now_us - self._temperature_us >= TEMPERATURE_US:
+                part.check_scales()
+            self._fresh[k] = fresh
         except TimestampError as error:
             if not self.faults & FROZEN:
                 _LOG.warning("%s: %s; its readings are not used", part.name, error.strerror)
@@ -161,6 +158,7 @@ class RemoteDevice(PolledDevice):
         self.name = f"{uri}/{device}"
         self._uri, self._device, self.channels = uri, device, tuple(channels)
         self._inputs: dict[str, Any] = {}
+        self._scales = {}
         try:
             self._connect()
         except OSError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -58,13 +59,9 @@ def parse_devices(text: str) -> list[Place]:
 
 
 def open_iio(
-    devices: str,
-    layout_name: str,
-    gauges: int,
-    bridge: BridgeTable | None,
-    capture: Capture = Capture(),  # noqa: B008 - immutable
-    root: Path | None = None,
-) -> IioSource:
+    devices: str, layout_name: str, gauges: int, bridge: BridgeTable | None,
+    capture: Capture = Capture(), root: Path | None = None,  # noqa: B008 - immutable
+) -> IioSource:  # fmt: skip
     """Return the ``devices`` (text as for ``parse_devices``) as one source of ``gauges`` gauges. Raises InputError and
     EnvironmentLackError for devices that are missing, incompatible or not readable."""
     if bridge is None:
@@ -142,7 +139,11 @@ def _converter(bridge: BridgeTable, channels: Sequence[_Channel], bits: int) -> 
                 raise InputError(f"{channel.name}: scale {millivolts!r}; state [bridge] volts_per_count")
             volts_per_count = 1e-3 * millivolts
         zero = bridge.zero_volts / volts_per_count - channel.offset_counts
-        points.append((zero, zero + _FULL_MICROSTRAIN * gain * volts_per_microstrain / volts_per_count))
+        end = zero + _FULL_MICROSTRAIN * gain * volts_per_microstrain / volts_per_count
+        if not (max(abs(zero), abs(end)) <= 0x7FFFFFFF and abs(end - zero) >= 1e-6):
+            told = f"{channel.name}: 0 and 1000 microstrain are {zero:g} and {end:g} counts"
+            raise InputError(f"{told}: allowed are different ones of INTEGER32; check scale, offset and [bridge]")
+        points.append((zero, end))
     fits = all(abs(count) <= 0x7FFF for pair in points for count in pair)
     return (bits if fits else max(bits, 17)), abs(points[0][1] - points[0][0]) / _FULL_MICROSTRAIN, tuple(points)
 
@@ -180,13 +181,15 @@ def _trigger(device: Device, capture: Capture, root: Path) -> str | None:
 def _stated(
     name: str, attribute: Callable[[str], float | None], refusal: str, ends: tuple[int, int] | None
 ) -> _Channel:
+    offset, scale, why = 0.0, None, "the driver states no scale"
     try:
-        offset, scale = attribute("offset") or 0.0, attribute("scale")
+        offset = attribute("offset") or 0.0  # known also where the scale is not
+        scale = attribute("scale")
     except PermissionError:
         raise
     except OSError as error:
-        return _Channel(name, None, 0.0, refusal.format(error.strerror), ends)
-    return _Channel(name, scale, offset, "" if scale is not None else "the driver states no scale", ends)
+        why = refusal.format(error.strerror)
+    return _Channel(name, scale, offset, "" if scale is not None else why, ends)
 
 
 def _names(device: Device, channel: str) -> list[str]:
@@ -213,9 +216,13 @@ def _supply(bridge: BridgeTable, root: Path) -> Callable[[], bool] | None:
     """Return a check whether the measured excitation is out of tolerance; None without a measurement."""
     if bridge.supply is None:
         return None
-    (place,) = parse_devices(bridge.supply)
+    place, *others = parse_devices(bridge.supply)
     device = iio_sysfs.find(place.device, root)
-    channel = _names(device, place.channel)[0]
+    channel, *more = _names(device, place.channel)
+    if others or more or place.uri:
+        raise InputError(
+            f"[bridge] supply = {bridge.supply!r}: allowed is one channel of this machine, device0/voltage1"
+        )
     part = PolledDevice(device, [channel])
     allowed = bridge.supply_tolerance * bridge.excitation_volts
 
@@ -223,6 +230,8 @@ def _supply(bridge: BridgeTable, root: Path) -> Callable[[], bool] | None:
         try:
             volts = 1e-3 * part.quantity(channel) * bridge.supply_divider
         except OSError:
+            with suppress(OSError):  # it may be back under another number
+                part.reopen()
             return True
         return not abs(volts - bridge.excitation_volts) <= allowed
 
