@@ -121,13 +121,9 @@ def _finger(scene: schema.Scene, group: schema.Nodes, node_id: int, folder: Path
 
 
 def _source(
-    scene: schema.Scene,
-    group: schema.Nodes,
-    node_id: int,
-    load: schema.LoadHistory | None,
-    clock: Clock,
+    scene: schema.Scene, group: schema.Nodes, node_id: int, load: schema.LoadHistory | None, clock: Clock,
     chosen: frozenset[str],
-) -> SimulatedSource:
+) -> SimulatedSource:  # fmt: skip
     options: dict[str, Any] = {}
     seed = 256 * scene.seed + 2 * node_id
     noise = scene.noise or schema.Noise()

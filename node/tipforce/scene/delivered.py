@@ -50,13 +50,9 @@ def beam_calibration(layout: str = "I", pull: bool = False, noise_microstrain: f
 
 
 def structure_calibration(
-    geometry: Geometry,
-    gauges: Sequence[Gauge],
-    noise_microstrain: float,
-    count_microstrain: float = COUNT_MICROSTRAIN,
-    offset_microstrain: Sequence[float] = (),
-    **stated: Any,
-) -> Calibration:
+    geometry: Geometry, gauges: Sequence[Gauge], noise_microstrain: float,
+    count_microstrain: float = COUNT_MICROSTRAIN, offset_microstrain: Sequence[float] = (), **stated: Any,
+) -> Calibration:  # fmt: skip
     """The calibration by beam theory; ``stated``: its other fields. Raises InputError for gauges without rank 3."""
     import numpy as np
 

@@ -90,10 +90,8 @@ def open_iio(
     if len(set(names)) != len(names):
         raise InputError(f"--source iio:{devices}: a channel is named twice")
     if len(names) != gauges:
-        raise InputError(
-            f"--source iio:{devices}: {len(names)} channels ({', '.join(names)}), but layout {layout_name} has "
-            f"{gauges} gauges; select channels: device0/voltage0"
-        )
+        problem = f"--source iio:{devices}: {len(names)} channels ({', '.join(names)}), but layout {layout_name} has "
+        raise InputError(f"{problem}{gauges} gauges; select channels: device0/voltage0")
     if bridge.count_range is not None:
         ends = [bridge.count_range]
     if len(set(ends)) != 1:
@@ -131,10 +129,8 @@ def _converter(bridge: BridgeTable, channels: Sequence[_Channel], bits: int) -> 
         volts_per_count, millivolts = bridge.volts_per_count, channel.millivolts_per_count
         if volts_per_count is None:
             if millivolts is None:
-                raise InputError(
-                    f"{channel.name}: {channel.why}; state the converter's step in the layout file: "
-                    "[bridge] volts_per_count = (reference voltage / number of counts)"
-                )
+                problem = f"{channel.name}: {channel.why}; state the converter's step in the layout file: "
+                raise InputError(f"{problem}[bridge] volts_per_count = (reference voltage / number of counts)")
             if not (math.isfinite(millivolts) and millivolts > 0.0):
                 raise InputError(f"{channel.name}: scale {millivolts!r}; state [bridge] volts_per_count")
             volts_per_count = 1e-3 * millivolts
@@ -204,10 +200,8 @@ def _names(device: Device, channel: str) -> list[str]:
 def _local_channel(device: Device, channel: str, bridge: BridgeTable) -> _Channel:
     name, kind = f"{device.number}/{channel}", iio_sysfs.scan_type(device.path, channel)
     if kind is None and bridge.count_range is None:
-        raise InputError(
-            f"{name}: the driver does not state its range of counts; state it in the layout file: [bridge] "
-            "count_range = [lowest, highest]"
-        )
+        problem = f"{name}: the driver does not state its range of counts; state it in the layout file: [bridge] "
+        raise InputError(f"{problem}count_range = [lowest, highest]")
     refusal = "the kernel does not state its scale ({}: no regulator)"
     return _stated(name, partial(iio_sysfs.attribute, device.path, channel), refusal, kind.ends if kind else None)
 

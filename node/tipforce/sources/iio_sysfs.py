@@ -160,14 +160,12 @@ class PolledDevice:
     def check_scales(self) -> None:
         """Raise OSError for a scale or an offset that is another than at the first call: counts mean another strain."""
         for place in product(self.channels, ("scale", "offset")):
-            with contextlib.suppress(OSError):  # some are not readable, or not during a capture
+            try:
                 value = self.attribute(*place)
-                before = self._scales.setdefault(place, value)
-                if value != before:
-                    break
-        else:
-            return
-        raise OSError(5, f"{' '.join(place)} is {value}, was {before}")
+            except OSError:  # some are not readable, or not during a capture
+                continue
+            if value != self._scales.setdefault(place, value):
+                raise OSError(5, f"{' '.join(place)} is {value}, was {self._scales[place]}")
 
     def read(self, _now_us: int) -> tuple[int, ...] | None:
         """Return new counts of all channels, or None. Raises OSError if the device is removed or does not respond."""

@@ -2,10 +2,6 @@
 
 A file lists the gauges, SG1 first, three to eight: points of Table 1, or places along the beams, or both::
 
-    points = ["K_H", "S_H", "U"]
-
-::
-
     points = [
         { beam = "H", side = "left", position_mm = 1.08 }, { beam = "H", side = "right", position_mm = 1.08 }, "U",
     ]
@@ -150,12 +146,9 @@ def layout_text(
 
 
 def write_layout(
-    path: str | Path,
-    geometry: Geometry,
-    gauges: Sequence[Gauge],
-    gauge_length_m: float | None = None,
+    path: str | Path, geometry: Geometry, gauges: Sequence[Gauge], gauge_length_m: float | None = None,
     comment: str = "",
-) -> None:
+) -> None:  # fmt: skip
     """Write layout_text() to a file. Raises InputError for an unusable path, WriteError if writing fails."""
     write_file(path, layout_text(geometry, gauges, gauge_length_m, comment), LAYOUT)
 
