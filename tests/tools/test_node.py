@@ -58,20 +58,10 @@ excitation_volts = 5.0
 gain = 100.0
 zero_volts = 2.5
 """
+NINE = f"{BRIDGE}count_range = [0, 9]\n"
 WRONG = [
-    (
-        "iio:a/voltage0,b,c",
-        BRIDGE + "count_range = [0, 9]\nvolts_per_count = 1e300",
-        "1000 microstrain are 2.5e-300 and",
-    ),
-    *(
-        (
-            "iio:a/voltage0,a/voltage1,b",
-            BRIDGE + f'count_range = [0, 9]\nsupply = "{supply}"',
-            f"'{supply}': allowed is one",
-        )
-        for supply in ("a/voltage0,b", "ip:host/a/voltage0", "a")
-    ),
+    ("iio:a,b", NINE + "volts_per_count = 1e300", "0 and 1000 microstrain are 2.5e-300 and"),
+    *(("iio:a,b", NINE + f'supply = "{one}"', f"'{one}': allowed is one") for one in ("a/voltage0,b", "ip:x/b", "a")),
     ("iio:", BRIDGE, "--source iio:: allowed are sim, iio:DEVICE"),
     ("iio:x/", BRIDGE, "no such device"),
     ("iio:,", BRIDGE, "'' is not a device"),
@@ -344,6 +334,4 @@ def test_a_recording_of_candump(tmp_path: Path, started: Started, refused: Refus
     _, source = started("I", f"replay:{path}@5")
     assert counts(source, 0, 1500, 3000, 3500) == [(10, -20, 30), None, (32767, -32768, 5), None]
     assert counts(started("I", f"replay:{path}@5", "--bits", "24")[1], 0, 3000)[1] == (0x7FFFFF, -0x800000, 1280)
-    assert "speed 1e+300, allowed is a positive number up to 1e9" in refused(
-        "I", f"replay:{path}@5", "--speed", "1e300"
-    )
+    assert "a positive number up to 1e9" in refused("I", f"replay:{path}@5", "--speed", "1e300")
