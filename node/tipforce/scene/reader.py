@@ -50,10 +50,8 @@ def _check_nodes(scene: schema.Scene, place: str) -> None:
             has = f"has {len(apparent)} values: allowed is one number, or {gauges}, the gauges of nodes[{number}]"
             raise InputError(f"{place}: front_end.apparent_microstrain_per_degC {has}")
         if scene.dynamics is not None and group.sample_period_us % scene.dynamics.step_us:
-            raise InputError(
-                f"{at}.sample_period_us is {group.sample_period_us}: allowed are multiples of the step of [dynamics], "
-                f"{scene.dynamics.step_us} us"
-            )
+            has = f"{group.sample_period_us}: allowed are multiples of the step of [dynamics], "
+            raise InputError(f"{at}.sample_period_us is {has}{scene.dynamics.step_us} us")
         if group.filter == "moving_average" and group.filter_constant > LONGEST_WINDOW:
             raise InputError(f"{at}: moving_average of {group.filter_constant}: allowed are 1 to {LONGEST_WINDOW}")
         needs = [pdo for pdo in group.pdos if pdo in SYNCHRONOUS]

@@ -214,9 +214,7 @@ def _supply(bridge: BridgeTable, root: Path) -> Callable[[], bool] | None:
     device = iio_sysfs.find(place.device, root)
     channel, *more = _names(device, place.channel)
     if others or more or place.uri:
-        raise InputError(
-            f"[bridge] supply = {bridge.supply!r}: allowed is one channel of this machine, device0/voltage1"
-        )
+        raise InputError(f"[bridge] supply = {bridge.supply!r}: allowed is one channel here, device0/voltage1")
     part = PolledDevice(device, [channel])
     allowed = bridge.supply_tolerance * bridge.excitation_volts
 

@@ -23,10 +23,9 @@ class ReplaySource(Source):
         if not rows or len(rows) != len(times_us):
             raise ValueError("replay: %d rows at %d times" % (len(rows), len(times_us)))
         steps = [times_us[k] - times_us[k - 1] for k in range(1, len(times_us))]
-        if steps and min(steps) <= 0:
-            raise ValueError(
-                "replay: times that do not increase, first at row %d" % (2 + [s > 0 for s in steps].index(False))
-            )
+        late = [row for row, step_us in enumerate(steps, 2) if step_us <= 0]
+        if late:
+            raise ValueError("replay: times that do not increase, first at row %d" % late[0])
         steps.sort()
         if not 0.0 < speed <= 1e9:
             raise ValueError("replay: speed %r, allowed is a positive number up to 1e9" % speed)

@@ -20,6 +20,7 @@ from tipforce.samples.reasons import Status
 from tipforce.scene.delivered import CALIBRATION, beam_calibration, check_noise, stored_calibration
 from tipforce.sensor import FABRICATED, strain_matrix
 from tipforce.sensor.contact import scalar
+from tipforce.sensor.structure.layouts import CUSTOM_LAYOUT_CODE, layout_code
 from tipforce.sources.simulated import SimulatedSource
 
 with needing('MuJoCo is not installed: pip install "tipforce[mujoco]"'):
@@ -188,6 +189,8 @@ class Fingertips:
         self._calibration = calibration or beam_calibration(layout, noise_microstrain=noise_microstrain)
         if self._calibration.gauges != len(self._rows):
             raise InputError(f"calibration of {self._calibration.gauges} gauges: the layout has {len(self._rows)}")
+        if self._calibration.layout_code not in (CUSTOM_LAYOUT_CODE, layout_code(layout)):
+            raise InputError(f"calibration of another layout: allowed is one of {layout!r}, or without a layout")
         self._stored = stored_calibration(self._calibration)
         self.node_ids = _node_ids(list(sites), node_ids)
         self._model, self._force = model, np.zeros(6)

@@ -148,9 +148,7 @@ def set_stamps(rows: Rows, t_ns: npt.NDArray[np.int64]) -> None:
     """Set ``header.stamp`` of rows (k,) to times (k,) in nanoseconds of the epoch. Raises InputError beyond 2038."""
     outside = t_ns[(t_ns < 0) | (t_ns >= 1_000_000_000 << 31)]
     if len(outside):  # of builtin_interfaces/Time; MCAP has no times before 1970
-        raise InputError(
-            f"a time of {1e-9 * outside[0]:.6f} s: allowed in ROS 2 are 0 to {(1 << 31) - 1} s of the epoch"
-        )
+        raise InputError(f"a time of {1e-9 * outside[0]:.6f} s: allowed in ROS 2 are 0 to {(1 << 31) - 1} s")
     rows["header.stamp.sec"], rows["header.stamp.nanosec"] = np.divmod(t_ns, 1_000_000_000)
 
 
