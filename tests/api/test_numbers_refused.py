@@ -23,7 +23,7 @@ from tipforce.sensor import FABRICATED
 NAN, INF = float("nan"), float("inf")
 CALIBRATION = beam_calibration("I", pull=True)
 SQUARE = np.eye(3)
-ESTIMATOR, ROOM = tipforce.Estimator(CALIBRATION), tipforce.Contacts.empty(2)
+ESTIMATE, ROOM = partial(tipforce.Estimator(CALIBRATION), np.zeros((2, 3))), tipforce.Contacts.empty(2)
 MODES = sensor.modes(FABRICATED, 0.02)
 SLIT = tipforce_lab.slit_stop(FABRICATED, MODES)
 
@@ -94,18 +94,9 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "seed": (lambda: tipforce.simulated_hand(2, seed=1.5), "seed 1.5: allowed are integers"),  # type: ignore[arg-type]
     "names of fingers": (lambda: tipforce.Hand.open({1: "thumb"}), "finger 1: allowed are node-ids by name"),  # type: ignore[dict-item]
     "node-id of a finger": (lambda: tipforce.Hand.open({"thumb": 1.5}), "'thumb': node-id 1.5: allowed are integers"),  # type: ignore[dict-item]
-    "room of integers": (
-        lambda: ESTIMATOR(np.zeros((2, 3)), out=replace(ROOM, P_newtons=np.zeros(2, np.int8))),
-        "is Contacts.empty(2)",
-    ),
-    "room of 8 bits": (
-        lambda: ESTIMATOR(np.zeros((2, 3)), out=replace(ROOM, status=np.zeros(2, np.uint8))),
-        "is Contacts.empty(2)",
-    ),
-    "read-only room": (
-        lambda: ESTIMATOR(np.zeros((2, 3)), out=replace(ROOM, phi_deg=np.broadcast_to(0.0, 2))),
-        "is Contacts.empty(2)",
-    ),
+    "room of integers": (lambda: ESTIMATE(out=replace(ROOM, P_newtons=np.zeros(2, "i1"))), "is Contacts.empty(2)"),
+    "room of 8 bits": (lambda: ESTIMATE(out=replace(ROOM, status=np.zeros(2, "u1"))), "is Contacts.empty(2)"),
+    "read-only room": (lambda: ESTIMATE(out=replace(ROOM, phi_deg=np.broadcast_to(0.0, 2))), "is Contacts.empty(2)"),
 }
 
 

@@ -50,11 +50,7 @@ def test_values_by_index_and_name(tmp_path: Path) -> None:
     ):  # fmt: skip
         with pytest.raises(InputError, match=message):
             _ = device[key]
-    for key, value, message in (
-        (0x2003, 256, "allowed are 0 to 255"),
-        (0x2000, 1.5, "allowed are integers"),
-        (0x2002, 3, "text"),
-    ):
+    for key, value, message in ((0x2003, 256, "are 0 to 255"), (0x2000, 1.5, "are integers"), (0x2002, 3, "text")):
         with pytest.raises(InputError, match=message):
             device[key] = value
 

@@ -102,10 +102,9 @@ def test_scale_of_a_channel_of_its_kind_or_none(tree: Tree) -> None:
     [
         ({"in_temp_input": "23456"}, 2346),
         ({"in_temp_raw": "1000", "in_temp_scale": "2.5", "in_temp_offset": "-200"}, 200),
-        ({"in_temp0_raw": "-41000"}, -4100),
-        ({"in_temp_input": "999999999"}, -0x8000),
+        ({"in_temp0_raw": "-41000"}, -4100), ({"in_temp_input": "999999999"}, -0x8000),
     ],
-)
+)  # fmt: skip
 def test_temperature_in_hundredths_of_a_degree(tree: Tree, files: dict[str, str], hundredths: int) -> None:
     tree.add(0, "a", {"voltage": 1}, **files)
     assert PolledDevice(iio_sysfs.find("a", tree.root), ["voltage"]).temperature() == hundredths

@@ -62,10 +62,8 @@ NINE = f"{BRIDGE}count_range = [0, 9]\n"
 WRONG = [
     ("iio:a,b", NINE + "volts_per_count = 1e300", "0 and 1000 microstrain are 2.5e-300 and"),
     *(("iio:a,b", NINE + f'supply = "{one}"', f"'{one}': allowed is one") for one in ("a/voltage0,b", "ip:x/b", "a")),
-    ("iio:", BRIDGE, "--source iio:: allowed are sim, iio:DEVICE"),
-    ("iio:x/", BRIDGE, "no such device"),
-    ("iio:,", BRIDGE, "'' is not a device"),
-    ("iio:ip:/adc", BRIDGE, "'ip:/adc' is not a device"),
+    ("iio:", BRIDGE, "--source iio:: allowed are sim, iio:DEVICE"), ("iio:x/", BRIDGE, "no such device"),
+    ("iio:,", BRIDGE, "'' is not a device"), ("iio:ip:/adc", BRIDGE, "'ip:/adc' is not a device"),
     ("iio:device0/voltage7", BRIDGE, "no channel 'voltage7'; it has voltage0, voltage1"),
     ("iio:device0", BRIDGE, "2 channels (iio:device0/voltage0, iio:device0/voltage1), but layout"),
     ("iio:device0,device0/voltage1", BRIDGE, "a channel is named twice"),
@@ -81,7 +79,7 @@ WRONG = [
     ("iio:device0,device1", BRIDGE.replace("100.0", "'x'"), "bridge.gain is 'x': expected float | array, got str"),
     ("iio:device0,device1", BRIDGE + "colour = 1\n", "bridge.colour: no such key; allowed: kind, gauge_factor"),
     ("iio:device0,device3", BRIDGE, "has no voltage channel"),
-]
+]  # fmt: skip
 
 
 @pytest.fixture
@@ -283,10 +281,8 @@ def test_doctor_lists_converters_and_what_they_lack(tree: Tree) -> None:
     (tree.root / "iio:device2/in_voltage0_raw").write_text("?")
     found = list(iio_checks(tree.root, tree.dev, tree.folder / "absent"))
     assert [(check.topic, check.state) for check in found] == [
-        ("ADC iio:device0", "ok"), ("ADC iio:device0", "note"),
-        ("ADC iio:device1", "ok"),
-        ("ADC iio:device2", "ok"), ("ADC iio:device2", "note"), ("ADC iio:device2", "note"),
-        ("ADC trigger", "note"),
+        ("ADC iio:device0", "ok"), ("ADC iio:device0", "note"), ("ADC iio:device1", "ok"), ("ADC iio:device2", "ok"),
+        ("ADC iio:device2", "note"), ("ADC iio:device2", "note"), ("ADC trigger", "note"),
     ]  # fmt: skip
     assert found[0].finding == "iio:device0 (adc121c, 0-0050): voltage, 12 bits"
     assert found[0].next_step == "--source iio:0-0050"

@@ -137,7 +137,6 @@ BAD: list[tuple[dict[str, str], dict[str, Any], str]] = [
     *((SITES, {"node_ids": {"thumb": node_id}}, r"allowed are different ones from 1 to 127") for node_id in (1.5, "1")),
     *((SITES, {"noise_microstrain": noise}, r"= .*: allowed is 0 to 1e\+06") for noise in (-1.0, np.nan, 1e300, "1")),
     (SITES, {"calibration": beam_calibration("II")}, r"calibration of another layout: allowed is one of 'I'"),
-    (SITES, {"seed": "1"}, r"seed '1': allowed are integers"),
     (SITES, {"calibration": FOUR}, r"calibration of 4 gauges: the layout has 3"),
 ]
 

@@ -81,14 +81,12 @@ def test_many_bad_lines_are_counted_and_the_first_is_shortened() -> None:
 def test_what_is_no_classic_frame_is_counted() -> None:
     parser = CandumpParser(strict=True)
     lines = [
-        "(1700000000.123456) vcan0 123##5000102030405060708090A0B",
+        "", "(1700000000.123456) vcan0 123##5000102030405060708090A0B",
         "  vcan0  123  [12]  00 01 02 03 04 05 06 07 08 09 0A 0B",
         "  vcan0  123  [08]  00 01 02 03 04 05 06 07",
         "DROPCOUNT: dropped 7 CAN frames on 'vcan0' socket (total drops 9)",
-        "DROPCOUNT: dropped 1 CAN frame on 'vcan0' socket (total drops 10)",
-        "\tcontroller-problem{rx-error-warning}",
-        "",
-    ]
+        "DROPCOUNT: dropped 1 CAN frame on 'vcan0' socket (total drops 10)", "\tcontroller-problem{rx-error-warning}",
+    ]  # fmt: skip
     assert len(block_of_text("\n".join(lines), parser).frames) == 0
     assert (parser.notes.skipped, parser.notes.bad) == ({"CAN FD frame": 3, "frame dropped by candump": 8}, {})
 
