@@ -1,8 +1,8 @@
 """Gauges on Linux Industrial I/O converters as a node's source: counts, or a fault (2124h), and never a stale value.
 
-No data (bit 8): a device that is removed or does not respond, or scans that do not arrive; it is opened again when it
-returns. Frozen (bit 9): time stamps do not increase. Wire break (bit 10): a gauge stays at an end of the range. Supply
-(bit 11): a channel outside its tolerance. Another board is polled through iiod, with libiio's time-out."""
+No data (bit 8): a device that is removed, does not respond or has another scale than at first, or scans that do not
+arrive; it is opened again when it returns. Frozen (bit 9): time stamps do not increase. Wire break (bit 10): a gauge
+stays at an end of the range. Supply (bit 11): a channel outside its tolerance. Another board: by iiod, with a limit."""
 
 from __future__ import annotations
 
