@@ -65,10 +65,8 @@ def open_iio(
     """Return the ``devices`` (text as for ``parse_devices``) as one source of ``gauges`` gauges. Raises InputError and
     EnvironmentLackError for devices that are missing, incompatible or not readable."""
     if bridge is None:
-        raise InputError(
-            f"--layout {layout_name}: the gauges of a real converter need a [bridge] table: a layout file with "
-            'points = ["K_H", "S_H", "U"] and [bridge] gauge_factor, excitation_volts, gain'
-        )
+        problem = f"--layout {layout_name}: the gauges of a real converter need a [bridge] table: a layout file with "
+        raise InputError(f'{problem}points = ["K_H", "S_H", "U"] and [bridge] gauge_factor, excitation_volts, gain')
     root = iio_sysfs.ROOT if root is None else root
     parts: list[PolledDevice] = []
     channels: list[_Channel] = []
@@ -96,10 +94,8 @@ def open_iio(
         ends = [bridge.count_range]
     if len(set(ends)) != 1:
         shown = ", ".join(f"{low} to {high}" for low, high in dict.fromkeys(ends)) or "not stated by the driver"
-        raise InputError(
-            f"--source iio:{devices}: the range of counts is {shown}; all gauges need one range, and the layout file "
-            "can state it: [bridge] count_range = [lowest, highest]"
-        )
+        problem = f"--source iio:{devices}: the range of counts is {shown}; all gauges need one range, and the layout "
+        raise InputError(f"{problem}file can state it: [bridge] count_range = [lowest, highest]")
     bits = max(16, 1 + max(ends[0][1], ~ends[0][0]).bit_length())  # of a signed integer that holds the range
     converter = _converter(bridge, channels, bits)
     period_us = round(1e6 / capture.timer_hz) if capture.mode != "poll" else 0

@@ -2,6 +2,10 @@
 
 A file lists the gauges, SG1 first, three to eight: points of Table 1, or places along the beams, or both::
 
+    points = ["K_H", "S_H", "U"]
+
+::
+
     points = [
         { beam = "H", side = "left", position_mm = 1.08 }, { beam = "H", side = "right", position_mm = 1.08 }, "U",
     ]
