@@ -1,6 +1,8 @@
 """Names of numpy's array types; shapes and units are in the docstrings that use them."""
 
 import numbers
+import operator
+from contextlib import suppress
 from decimal import Decimal
 from typing import Any
 
@@ -38,3 +40,16 @@ def floats(name: str, values: npt.ArrayLike) -> FloatArray:
         return np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"{name}: {shortened(' '.join(repr(values).split()))} is no array of numbers") from None
+
+
+def real(value: object) -> float:
+    """Return a number of any real type; NaN for what is none."""
+    return float(value) if isinstance(value, numbers.Real) else float("nan")
+
+
+def whole(name: str, value: object, within: range | None = None) -> int:
+    """Return an integer of any type. Raises InputError naming ``name`` for what is none, or not ``within``."""
+    with suppress(TypeError):  # of what is no integer
+        if within is None or operator.index(value) in within:  # type: ignore[arg-type]
+            return operator.index(value)  # type: ignore[arg-type]
+    raise InputError(f"{name} {value!r}: allowed are {f'{within[0]} to {within[-1]}' if within else 'integers'}")

@@ -15,6 +15,7 @@ import pytest
 import tipforce
 import tipforce_lab
 from tipforce import sensor
+from tipforce.host import PolledHand
 from tipforce.samples import reasons
 from tipforce.scene import beam_calibration
 from tipforce.sensor import FABRICATED
@@ -22,6 +23,7 @@ from tipforce.sensor import FABRICATED
 NAN, INF = float("nan"), float("inf")
 CALIBRATION = beam_calibration("I", pull=True)
 SQUARE = np.eye(3)
+ESTIMATE, ROOM = partial(tipforce.Estimator(CALIBRATION), np.zeros((2, 3))), tipforce.Contacts.empty(2)
 MODES = sensor.modes(FABRICATED, 0.02)
 SLIT = tipforce_lab.slit_stop(FABRICATED, MODES)
 
@@ -88,6 +90,13 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "not connected": (lambda: tipforce.open(canopen.Network()), "connect() first"),
     "time-out": (lambda: tipforce.open("x", "virtual", timeout_s=NAN), "timeout_s = nan: allowed is 0 s or more"),
     "retries": (lambda: tipforce.open("x", "virtual", retries=-1), "retries = -1: allowed are"),
+    "noise as text": (lambda: beam_calibration(noise_microstrain="1"), "'1': allowed is 0 to"),  # type: ignore[arg-type]
+    "seed": (lambda: tipforce.simulated_hand(2, seed=1.5), "seed 1.5: allowed are integers"),  # type: ignore[arg-type]
+    "names of fingers": (lambda: tipforce.Hand.open({1: "thumb"}), "finger 1: allowed are node-ids by name"),  # type: ignore[dict-item]
+    "node-id of a finger": (lambda: tipforce.Hand.open({"thumb": 1.5}), "'thumb': node-id 1.5: allowed are integers"),  # type: ignore[dict-item]
+    "room of integers": (lambda: ESTIMATE(out=replace(ROOM, P_newtons=np.zeros(2, "i1"))), "is Contacts.empty(2)"),
+    "room of 8 bits": (lambda: ESTIMATE(out=replace(ROOM, status=np.zeros(2, "u1"))), "is Contacts.empty(2)"),
+    "read-only room": (lambda: ESTIMATE(out=replace(ROOM, phi_deg=np.broadcast_to(0.0, 2))), "is Contacts.empty(2)"),
 }
 
 
@@ -128,9 +137,14 @@ def test_what_is_not_known_is_nan() -> None:
 
 
 def test_node_ids_of_any_integer_type() -> None:
-    with tipforce.simulated_hand(list(np.array([2, 100], dtype=np.int8))) as bus:
+    ids: Any = np.array([2, 100], dtype=np.int8)
+    with tipforce.simulated_hand(list(ids), seed=ids[0]) as bus:
         assert bus.node_ids == (2, 100)
-        assert bus.finger(100).sdo["identity.serial"] == 1100
+        assert bus.finger(ids[1]).sdo["identity.serial"] == 1100
+        assert PolledHand(bus, ids).node_ids == (2, 100)
+        with tipforce.Hand.open(ids, bus=bus) as hand:
+            assert [type(node_id) for node_id in hand.node_ids] == [int, int]
+            assert hand.state(2) == "operational"
     assert np.isnan(sensor.standard_uncertainties([4.0, 1.0, 2.0], -SQUARE, pull=True)).all()
     assert sensor.noise_gain(1e200 * SQUARE) == pytest.approx(3**0.5 * 1e200)
 
@@ -147,6 +161,10 @@ def test_no_wait_without_a_limit_and_no_flood_of_syncs() -> None:
             lambda: bus.scan([200], 0.1),
             lambda: bus.nmt("start", 200),
             lambda: bus.apply_load(5, NAN, 0.0, 0.0),
+            lambda: bus.inject_fault(5, "drift", magnitude=INF),
+            lambda: bus.inject_fault(5, "open", gauge=1.5),  # type: ignore[arg-type]
+            lambda: PolledHand(bus, [5]).sample(NAN),
+            lambda: finger.read(timeout_s="1"),  # type: ignore[arg-type]
         ):
             with pytest.raises(tipforce.InputError):
                 call()

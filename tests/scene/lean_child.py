@@ -36,14 +36,12 @@ def main(path: str, duration: str) -> None:
     outcome = run_scene(read_scene(path), Path(path).parent, float(duration) if duration else None)
     told = {
         "modules": sorted(name for name in sys.modules if name.startswith(("tipforce", "canopen_device"))),
-        "packages": sorted({name.partition(".")[0] for name in sys.modules}),
-        "built": list(outcome.built),
+        "packages": sorted({name.partition(".")[0] for name in sys.modules}), "built": list(outcome.built),
         "frames": {str(can_id): count for can_id, count in outcome.frames_by_id.items()},
         "emcy": {str(finger.node_id): list(finger.emcy) for finger in outcome.fingers},
         "failed": [f"{check.node_id}: {check.expected}: {check.found}" for check in outcome.checks if not check.ok],
-        "syncs": outcome.syncs,
-        "calls": CALLS,
-    }
+        "syncs": outcome.syncs, "calls": CALLS,
+    }  # fmt: skip
     print(json.dumps(told))
 
 

@@ -44,6 +44,7 @@ WRONG = [  # a part of the good scene, what stands there instead, and what is sa
     ("duration_s = 1.0", "duration_s = inf", "duration_s is inf: allowed are finite numbers"),
     ("duration_s", "duration", "duration: no such key; did you mean duration_s?"),
     ("sync_hz = 100", "sync_hz = 100\nstart = 9999-01-01T00:00:00Z", "allowed are the years 1970 to 2261"),
+    ("sync_hz = 100", "sync_hz = 100\nstart = 1970-01-01T00:00:00+14:00", "allowed are the years 1970 to 2261"),
     ("sync_hz = 100", "", "nodes[1].pdos: contact is sent on SYNC: set sync_hz"),
     ("ids = [1, 2]", "ids = [1, 1]", "node-id 1 is given more than once"),
     ("ids = [1, 2]", "ids = []", "0 node-ids: allowed are 1 to 32"),
@@ -51,6 +52,7 @@ WRONG = [  # a part of the good scene, what stands there instead, and what is sa
     ("ids = [1, 2]", "ids = 1", "nodes[1].ids is 1: expected array, got int"),
     ("ids = [1, 2]", 'ids = [1, 2]\nlayout = "IV"', "nodes[1].layout is 'IV'"),
     ("ids = [1, 2]", 'ids = [1, 2]\nlayout = ["L", "R"]', "a layout of 2 gauge points: allowed are 3 to 8"),
+    ("ids = [1, 2]", 'ids = [1]\nfilter = "moving_average"\nfilter_constant = 257', "of 257: allowed are 1 to 256"),
     ("ids = [1, 2]", "ids = [1, 2]\noffset_microstrain = [1.0]", "offset_microstrain has 1 values: allowed is 3"),
     ('["contact"]', '["contract"]', "nodes[1].pdos is ['contract']: invalid enum value 'contract' at [0]; allowed"),
     ('kind = "static"', "", "loads[1].kind is missing; allowed: static, history, grooves, ramp, tap, grasp"),
@@ -72,6 +74,7 @@ ADDED = [  # below the good scene
     ('[[faults]]\nkind = "stuck"\nnodes = [1]\nat_s = 0.5\ngauge = 4', "gauge is 4: node 1 has the gauges 1 to 3"),
     ('[[faults]]\nkind = "stuck"\nnodes = [3]\nat_s = 0.5', "faults[1].nodes: node 3 is not in [[nodes]]"),
     ('[[faults]]\nkind = "stuck"\nnodes = [1]\nat_s = 0.5\nuntil_s = 0.4', "allowed is a time after at_s, 0.5"),
+    ('[[faults]]\nkind = "stuck"\nnodes = []\nat_s = 0.5', "faults[1].nodes is []: allowed are one"),
     (
         '[[faults]]\nkind = "open"\nnodes = [1]\nat_s = 0.1\n[[faults]]\nkind = "open"\nnodes = [1]\nat_s = 0.2',
         "faults[2]: node 1 has another fault at that time",

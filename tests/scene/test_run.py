@@ -237,7 +237,9 @@ def test_a_calibration_file_beside_the_scene(tmp_path: Path) -> None:
     assert outcome.fingers[0].estimated_end[0] == pytest.approx(2.0, abs=0.003)
     refused = Calibration(np.diag([1e6, 1e6, 50.0]), np.zeros(3), 1e-14 * np.eye(3))
     write_calibration(tmp_path / "refused.toml", refused)  # the node's own condition limit (2105h:1)
+    write_calibration(tmp_path / "II.toml", Calibration(C, np.zeros(3), 1e-14 * np.eye(3), layout_code=2))
     for keys, message in (
+        ('calibration = "II.toml"', "calibration II.toml: it is for another layout, the node has I"),
         ('calibration = "no-such.toml"', "no-such"),
         ('layout = ["K_H", "S_H", "U", "T"]\ncalibration = "cal.toml"', "it is for 3 gauges, the layout has 4"),
         ('calibration = "refused.toml"', "node 3 rejects 0x2104:00: abort 0x06090031"),

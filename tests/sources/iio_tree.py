@@ -16,14 +16,9 @@ class Tree:
             path.mkdir()
 
     def add(
-        self,
-        number: int,
-        place: str,
-        channels: dict[str, int],
-        name: str = "adc",
-        bits: str = "le:u12/16>>0",
+        self, number: int, place: str, channels: dict[str, int], name: str = "adc", bits: str = "le:u12/16>>0",
         **attributes: str,
-    ) -> Path:
+    ) -> Path:  # fmt: skip
         """A device ``iio:deviceN`` at ``place``; ``attributes`` such as in_voltage_scale="0.5"."""
         path = self.folder / "devices" / place / f"iio:device{number}"
         path.mkdir(parents=True)

@@ -208,8 +208,7 @@ def test_the_node_shows_the_temperature_of_the_front_end() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"bits": 12}, "bits: 12, allowed 16 and 24"),
-        ({"gain": 2.0}, "gain: needs a bridge"),
+        ({"bits": 12}, "bits: 12, allowed 16 and 24"), ({"gain": 2.0}, "gain: needs a bridge"),
         ({"reference_volts": 2.0}, "reference_volts: needs gain"),
         ({"apparent_strain": 1.0}, "apparent_strain: needs temperature"),
         ({"gain_drift_ppm": 1.0}, "gain_drift_ppm: needs temperature"),
@@ -222,7 +221,7 @@ def test_the_node_shows_the_temperature_of_the_front_end() -> None:
         ({"gauge_factor": 0.0}, "gauge_factor: 0.0, allowed is a finite number above 0"),
         ({"excitation_volts": math.inf}, "excitation_volts"),
     ],
-)
+)  # fmt: skip
 def test_what_is_not_allowed(options: dict[str, object], message: str) -> None:
     kind = Bridge if {"kind", "gauge_factor", "excitation_volts"} & options.keys() else FrontEnd
     with pytest.raises(ValueError, match=message):

@@ -102,10 +102,9 @@ def test_scale_of_a_channel_of_its_kind_or_none(tree: Tree) -> None:
     [
         ({"in_temp_input": "23456"}, 2346),
         ({"in_temp_raw": "1000", "in_temp_scale": "2.5", "in_temp_offset": "-200"}, 200),
-        ({"in_temp0_raw": "-41000"}, -4100),
-        ({"in_temp_input": "999999999"}, -0x8000),
+        ({"in_temp0_raw": "-41000"}, -4100), ({"in_temp_input": "999999999"}, -0x8000),
     ],
-)
+)  # fmt: skip
 def test_temperature_in_hundredths_of_a_degree(tree: Tree, files: dict[str, str], hundredths: int) -> None:
     tree.add(0, "a", {"voltage": 1}, **files)
     assert PolledDevice(iio_sysfs.find("a", tree.root), ["voltage"]).temperature() == hundredths
@@ -246,6 +245,22 @@ def test_a_value_that_stands_still_where_noise_is_known(three: Tree) -> None:
     assert count * SYNC_US <= 100_000
     assert talk.emcys() == [(0x5030, 9, 0)]
     assert not talk.syncs(1, move((0, 1, 2)))[0] & FAULT
+
+
+def test_a_scale_that_changes_makes_the_counts_unknown(three: Tree, caplog: pytest.LogCaptureFixture) -> None:
+    """A gain that another program sets, or that is at its default again after the device was away."""
+    scale = three.root / "iio:device1/in_voltage_scale"
+    scale.write_text("0.5\n")
+    talk = Talk(source(polled(three)))
+    assert not talk.syncs(3)[0] & FAULT
+    scale.write_text("64.0\n")
+    assert talk.syncs(1_000_000 // SYNC_US)[2] == (UNKNOWN,) * 3
+    three.remove(1)
+    three.add(7, "0-0051", {"voltage": 2148}, in_voltage_scale="1.0")
+    assert talk.syncs(60)[2] == (UNKNOWN,) * 3
+    (three.root / "iio:device7/in_voltage_scale").write_text("0.5\n")
+    assert talk.syncs(60)[2] == (0, 500, 100)
+    assert "voltage scale is 64.0, was 0.5" in caplog.records[0].message
 
 
 def test_a_supply_out_of_tolerance(three: Tree) -> None:
@@ -395,3 +410,5 @@ def test_triggers_by_name_and_the_devices_own(tree: Tree) -> None:
     assert iio_sysfs.make_hrtimer("tipforce", 500.0, tree.root, configfs) == "tipforce"
     assert (configfs / "tipforce").is_dir()
     assert (timer / "sampling_frequency").read_text() == "500"
+    iio_sysfs.make_hrtimer("tipforce", 0.5, tree.root, configfs)
+    assert (timer / "sampling_frequency").read_text() == "0.5"

@@ -58,11 +58,12 @@ excitation_volts = 5.0
 gain = 100.0
 zero_volts = 2.5
 """
+NINE = f"{BRIDGE}count_range = [0, 9]\n"
 WRONG = [
-    ("iio:", BRIDGE, "--source iio:: allowed are sim, iio:DEVICE"),
-    ("iio:x/", BRIDGE, "no such device"),
-    ("iio:,", BRIDGE, "'' is not a device"),
-    ("iio:ip:/adc", BRIDGE, "'ip:/adc' is not a device"),
+    ("iio:a,b", NINE + "volts_per_count = 1e300", "0 and 1000 microstrain are 2.5e-300 and"),
+    *(("iio:a,b", NINE + f'supply = "{one}"', f"'{one}': allowed is one") for one in ("a/voltage0,b", "ip:x/b", "a")),
+    ("iio:", BRIDGE, "--source iio:: allowed are sim, iio:DEVICE"), ("iio:x/", BRIDGE, "no such device"),
+    ("iio:,", BRIDGE, "'' is not a device"), ("iio:ip:/adc", BRIDGE, "'ip:/adc' is not a device"),
     ("iio:device0/voltage7", BRIDGE, "no channel 'voltage7'; it has voltage0, voltage1"),
     ("iio:device0", BRIDGE, "2 channels (iio:device0/voltage0, iio:device0/voltage1), but layout"),
     ("iio:device0,device0/voltage1", BRIDGE, "a channel is named twice"),
@@ -78,7 +79,7 @@ WRONG = [
     ("iio:device0,device1", BRIDGE.replace("100.0", "'x'"), "bridge.gain is 'x': expected float | array, got str"),
     ("iio:device0,device1", BRIDGE + "colour = 1\n", "bridge.colour: no such key; allowed: kind, gauge_factor"),
     ("iio:device0,device3", BRIDGE, "has no voltage channel"),
-]
+]  # fmt: skip
 
 
 @pytest.fixture
@@ -166,6 +167,9 @@ def test_a_supply_that_is_measured(tree: Tree, started: Started) -> None:
         reading = source.read(0)
         assert reading is not None
         assert reading.faults == faults, millivolts
+    tree.remove(0)
+    tree.add(4, "a", {"voltage3": 2500}, in_voltage_scale="1.0")  # it is back under another number
+    assert [source._supply_fault(), source._supply_fault()] == [True, False]
 
 
 def test_without_a_scale_the_table_must_state_volts_per_count(
@@ -179,14 +183,14 @@ def test_without_a_scale_the_table_must_state_volts_per_count(
     def refuse(_path: Path, _channel: str, name: str) -> float | None:
         if name == "scale":
             raise OSError(errno.EINVAL, "Invalid argument")
-        return None
+        return -1000.0
 
     monkeypatch.setattr(iio_sysfs, "attribute", refuse)
     said = refused(path, "iio:a")
     assert "does not state its scale (Invalid argument: no regulator)" in said
     assert "[bridge] volts_per_count" in said
     path.write_text(BRIDGE + "volts_per_count = 0.001\n")
-    assert started(path, "iio:a")[0].od.get(0x6122, 1) == 2500 + 1000
+    assert started(path, "iio:a")[0].od.get(0x6122, 1) == 2500 + 1000 + 1000
 
 
 @pytest.mark.parametrize(("words", "text", "message"), WRONG)
@@ -277,10 +281,8 @@ def test_doctor_lists_converters_and_what_they_lack(tree: Tree) -> None:
     (tree.root / "iio:device2/in_voltage0_raw").write_text("?")
     found = list(iio_checks(tree.root, tree.dev, tree.folder / "absent"))
     assert [(check.topic, check.state) for check in found] == [
-        ("ADC iio:device0", "ok"), ("ADC iio:device0", "note"),
-        ("ADC iio:device1", "ok"),
-        ("ADC iio:device2", "ok"), ("ADC iio:device2", "note"), ("ADC iio:device2", "note"),
-        ("ADC trigger", "note"),
+        ("ADC iio:device0", "ok"), ("ADC iio:device0", "note"), ("ADC iio:device1", "ok"), ("ADC iio:device2", "ok"),
+        ("ADC iio:device2", "note"), ("ADC iio:device2", "note"), ("ADC trigger", "note"),
     ]  # fmt: skip
     assert found[0].finding == "iio:device0 (adc121c, 0-0050): voltage, 12 bits"
     assert found[0].next_step == "--source iio:0-0050"
@@ -320,9 +322,12 @@ def test_a_recording_of_candump(tmp_path: Path, started: Started, refused: Refus
         "(1.001000) can0 185#0A00ECFF1E000A01",  # stale: nothing new
         "(1.002000) can0 185#FF7F0180008002",  # too short for its mapping
         "(1.003000) can0 185#FF7F018005000602",  # saturated at both ends
+        "(1.003500) can0 185#0A00ECFF1E000603",  # saturated inside: the flag does not say which gauge
         "(1.004000) can0 186#0100010001000201",
     )
     path.write_text("\n".join(lines) + "\n")
     assert f"contains gauges of the nodes 5, 6; choose one: {path}@5" in refused("I", f"replay:{path}")
     _, source = started("I", f"replay:{path}@5")
-    assert counts(source, 0, 1500, 3500) == [(10, -20, 30), None, (32767, -32768, 5)]
+    assert counts(source, 0, 1500, 3000, 3500) == [(10, -20, 30), None, (32767, -32768, 5), None]
+    assert counts(started("I", f"replay:{path}@5", "--bits", "24")[1], 0, 3000)[1] == (0x7FFFFF, -0x800000, 1280)
+    assert "a positive number up to 1e9" in refused("I", f"replay:{path}@5", "--speed", "1e300")

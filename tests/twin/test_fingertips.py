@@ -15,7 +15,7 @@ from tipforce.scene import beam_calibration
 from tipforce.sensor import FABRICATED, strain_matrix
 from tipforce.sensor.dynamics.model import compliances, half_cylinder, modes
 from tipforce.sensor.structure.plane_frame import Frame
-from tipforce_robots.mujoco import Fingertips, fingertip_mjcf
+from tipforce_robots.mujoco import Fingertips, Load, fingertip_mjcf
 from tipforce_tools.cli.main import main
 from twin.models import R, external_wrench, pressed, push, samples
 
@@ -124,6 +124,7 @@ def test_what_the_node_does_not_know_is_not_a_number() -> None:
     beyond = [one for one in samples(model, data, tips, 50) if one.load.P_newtons > 100.0]
     assert len(beyond) > 5
     assert all(Status.SATURATED in one.status and np.isnan(one.P_newtons) for one in beyond)
+    assert np.isnan(Load([1.0] * 9, (*[np.nan] * 7, 2), 0.01, []).cancelled_newtons)  # type: ignore[arg-type]
 
 
 FOUR = Calibration(np.ones((3, 4)), np.zeros(4), np.eye(4))
@@ -133,7 +134,9 @@ BAD: list[tuple[dict[str, str], dict[str, Any], str]] = [
     ({}, {}, r"sites: allowed is one finger or more"),
     (SITES, {"node_ids": {"thumb": 128}}, r"node_ids \[128\]: allowed are different ones from 1 to 127"),
     (SITES, {"node_ids": {"index": 1}}, r"node_ids of index: allowed are those of thumb"),
-    *((SITES, {"noise_microstrain": noise}, r"= .*: allowed is 0 to 1e\+06") for noise in (-1.0, np.nan, 1e300)),
+    *((SITES, {"node_ids": {"thumb": node_id}}, r"allowed are different ones from 1 to 127") for node_id in (1.5, "1")),
+    *((SITES, {"noise_microstrain": noise}, r"= .*: allowed is 0 to 1e\+06") for noise in (-1.0, np.nan, 1e300, "1")),
+    (SITES, {"calibration": beam_calibration("II")}, r"calibration of another layout: allowed is one of 'I'"),
     (SITES, {"calibration": FOUR}, r"calibration of 4 gauges: the layout has 3"),
 ]
 

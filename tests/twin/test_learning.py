@@ -81,18 +81,8 @@ def test_frames_and_logs_give_dlpack_without_copies(path: Path, log: tipforce.Lo
     assert set(decoded) == {(node_id, name) for node_id in (1, 2) for name in ("Gauges", "Contact")}
     arrays = [array for samples in decoded.values() for array in (samples.t_ns, *samples.columns.values())]
     for node in log.values():
-        names = (
-            "P_newtons",
-            "phi_deg",
-            "theta_deg",
-            "u_P_newtons",
-            "t_s",
-            "status",
-            "microstrain",
-            "F_newtons",
-            "counter",
-        )
-        arrays += [getattr(node, name) for name in names]
+        names = "P_newtons phi_deg theta_deg u_P_newtons t_s status microstrain F_newtons counter"
+        arrays += [getattr(node, name) for name in names.split()]
         arrays += [array for array in node.columns.values() if array.dtype.kind in "iufb"]
     for array in arrays:
         taken = np.from_dlpack(array)
@@ -131,6 +121,10 @@ def test_no_window_crosses_a_gap_and_a_lost_sample_is_not_valid(log: tipforce.Lo
         recorded_observations(tipforce.Log(nodes, {}, 0), [9])
     with pytest.raises(tipforce.InputError, match=r"windows of length 0, stride 1: allowed is 1 or more"):
         found.windows(0)
+    for times in (np.full(200, np.nan), np.r_[0:100, 50:150] * 0.002):
+        with pytest.raises(tipforce.InputError, match="node 1: times that are missing or go back"):
+            recorded_observations(tipforce.Log({1: replace(_part(log[1], np.r_[0:200]), t_s=times)}, {}, 0))
+    assert observation({})["values"].shape == (0, 3)
 
 
 def _part(node: tipforce.NodeLog, at: np.ndarray) -> tipforce.NodeLog:

@@ -105,6 +105,32 @@ def test_it_follows_the_clock_and_says_what_it_lost(
         nodes.follow_sync(lambda: None, 0.0, lambda: True)
 
 
+def test_a_model_that_is_reset_goes_on(buses: tuple[can.BusABC, can.BusABC]) -> None:
+    model, data = pressed({"ball": (100.0, 0.0, 0.02)})
+    tips = Fingertips(model, SITES)
+    nodes, calls = TwinNodes(tips, data, buses[0]), itertools.count(1)
+
+    def step() -> None:
+        if next(calls) == 10:
+            mujoco.mj_resetData(model, data)
+            tips.reset(np.int64(2))  # type: ignore[arg-type]  # as of a generator of numpy
+        else:
+            mujoco.mj_step(model, data)
+
+    for _ in range(4):
+        sent(buses[1], 0x80)
+    nodes.follow_sync(step, 0.002, iter([False] * 4 + [True]).__next__)
+    assert next(calls) == 1 + 17  # 4 SYNCs of 4 steps, and the reset
+    assert data.time == pytest.approx(7 * 0.0005)
+    sent(buses[1], 0x80)
+    with pytest.raises(tipforce.InputError, match=r"step: the time of data stays at 0\.0035"):
+        nodes.follow_sync(lambda: None, 0.002, iter([False]).__next__)
+    # Frames without end do not stop the simulation.
+    endless, heard = SimpleNamespace(recv=lambda _timeout_s: can.Message(), send=lambda _: None), itertools.count()
+    TwinNodes(tips, data, endless, lambda *_: next(heard))  # type: ignore[arg-type]
+    assert next(heard) == 10_000
+
+
 def test_the_grasp_holds_the_asked_force_within_its_uncertainty_the_same_each_time() -> None:
     gripper, rows, u_P_newtons = grasp.grasp(2.0)
     assert [k for k, row in enumerate(rows) if row.missing.any()] == []

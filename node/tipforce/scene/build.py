@@ -18,7 +18,7 @@ from tipforce.scene import schema
 from tipforce.scene.delivered import commit_calibration, download, structure_calibration
 from tipforce.scene.registry import Pdo, chosen_parts, node_pdos
 from tipforce.scene.schema import Triple
-from tipforce.sensor.structure.layouts import layout
+from tipforce.sensor.structure.layouts import CUSTOM_LAYOUT_CODE, layout, layout_code
 from tipforce.sources.simulated import DRIFT, OPEN, SATURATED, SILENT, STUCK, SimulatedSource
 
 if TYPE_CHECKING:
@@ -108,6 +108,8 @@ def _finger(scene: schema.Scene, group: schema.Nodes, node_id: int, folder: Path
         if calibration.gauges != gauges:
             differs = f"it is for {calibration.gauges} gauges, the layout has {gauges}"
             raise InputError(f"calibration {group.calibration}: {differs}")
+        if calibration.layout_code not in (CUSTOM_LAYOUT_CODE, layout_code(group.layout)):
+            raise InputError(f"calibration {group.calibration}: it is for another layout, the node has {group.layout}")
     elif "calibration" in chosen:
         from tipforce.sensor.structure.strain import FABRICATED
 
@@ -121,13 +123,9 @@ def _finger(scene: schema.Scene, group: schema.Nodes, node_id: int, folder: Path
 
 
 def _source(
-    scene: schema.Scene,
-    group: schema.Nodes,
-    node_id: int,
-    load: schema.LoadHistory | None,
-    clock: Clock,
+    scene: schema.Scene, group: schema.Nodes, node_id: int, load: schema.LoadHistory | None, clock: Clock,
     chosen: frozenset[str],
-) -> SimulatedSource:
+) -> SimulatedSource:  # fmt: skip
     options: dict[str, Any] = {}
     seed = 256 * scene.seed + 2 * node_id
     noise = scene.noise or schema.Noise()

@@ -28,12 +28,14 @@ COUNT_MICROSTRAIN = 0.1
 """Of a converter of 16 bits; rounding to it counts as noise."""
 
 
-def check_noise(noise_microstrain: float) -> None:
-    """Raise InputError for a noise that is not 0 to 1e6 microstrain."""
+def check_noise(noise_microstrain: float) -> float:
+    """Return the noise. Raises InputError for one that is not 0 to 1e6 microstrain."""
+    from tipforce.arrays import real
     from tipforce.host.configuration.measurements import LARGEST_MICROSTRAIN
 
-    if not 0.0 <= noise_microstrain <= LARGEST_MICROSTRAIN:
+    if not 0.0 <= real(noise_microstrain) <= LARGEST_MICROSTRAIN:
         raise InputError(f"noise_microstrain = {noise_microstrain!r}: allowed is 0 to {LARGEST_MICROSTRAIN:g}")
+    return real(noise_microstrain)
 
 
 def beam_calibration(layout: str = "I", pull: bool = False, noise_microstrain: float = 0.5) -> Calibration:
@@ -48,13 +50,9 @@ def beam_calibration(layout: str = "I", pull: bool = False, noise_microstrain: f
 
 
 def structure_calibration(
-    geometry: Geometry,
-    gauges: Sequence[Gauge],
-    noise_microstrain: float,
-    count_microstrain: float = COUNT_MICROSTRAIN,
-    offset_microstrain: Sequence[float] = (),
-    **stated: Any,
-) -> Calibration:
+    geometry: Geometry, gauges: Sequence[Gauge], noise_microstrain: float,
+    count_microstrain: float = COUNT_MICROSTRAIN, offset_microstrain: Sequence[float] = (), **stated: Any,
+) -> Calibration:  # fmt: skip
     """The calibration by beam theory; ``stated``: its other fields. Raises InputError for gauges without rank 3."""
     import numpy as np
 

@@ -1,6 +1,7 @@
 """Read a scene file, and check it beyond its types: unique node-ids, one load per finger, PDOs that need a SYNC."""
 
 from collections.abc import Iterable
+from datetime import UTC
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from canopen_device.paths_below import below
 from canopen_device.toml_table import convert, read_table
 from tipforce.dictionary.table import STATUS_BITS
 from tipforce.errors import InputError, placed
+from tipforce.fingertip.filters import LONGEST_WINDOW
 from tipforce.scene import schema
 from tipforce.scene.registry import SYNCHRONOUS
 from tipforce.sensor.structure.layouts import layout
@@ -18,7 +20,7 @@ from tipforce.sensor.structure.layouts import layout
 def read_scene(path: str | Path) -> schema.Scene:
     """Read and check a scene file. Raises InputError naming the place, the value and what is allowed."""
     scene = convert(schema.Scene, read_table(path, f"scene {path}"), f"scene {path}")
-    if not 1970 <= scene.start.year < 2262:
+    if not 1970 <= scene.start.astimezone(UTC).year < 2262:
         raise InputError(f"scene {path}: start is {scene.start}: allowed are the years 1970 to 2261")
     for check in (_check_nodes, _check_loads, _check_faults, _check_expectations):
         check(scene, f"scene {path}")
@@ -48,10 +50,10 @@ def _check_nodes(scene: schema.Scene, place: str) -> None:
             has = f"has {len(apparent)} values: allowed is one number, or {gauges}, the gauges of nodes[{number}]"
             raise InputError(f"{place}: front_end.apparent_microstrain_per_degC {has}")
         if scene.dynamics is not None and group.sample_period_us % scene.dynamics.step_us:
-            raise InputError(
-                f"{at}.sample_period_us is {group.sample_period_us}: allowed are multiples of the step of [dynamics], "
-                f"{scene.dynamics.step_us} us"
-            )
+            has = f"{group.sample_period_us}: allowed are multiples of the step of [dynamics], "
+            raise InputError(f"{at}.sample_period_us is {has}{scene.dynamics.step_us} us")
+        if group.filter == "moving_average" and group.filter_constant > LONGEST_WINDOW:
+            raise InputError(f"{at}: moving_average of {group.filter_constant}: allowed are 1 to {LONGEST_WINDOW}")
         needs = [pdo for pdo in group.pdos if pdo in SYNCHRONOUS]
         if needs and scene.sync_hz is None:
             raise InputError(f"{at}.pdos: {needs[0]} is sent on SYNC: set sync_hz")
@@ -94,6 +96,8 @@ def _check_faults(scene: schema.Scene, place: str) -> None:
         until = scene.duration_s if fault.until_s is None else fault.until_s
         if not until > fault.at_s:
             raise InputError(f"{at}: it ends at {until} s: allowed is a time after at_s, {fault.at_s}")
+        if not fault.nodes:
+            raise InputError(f"{at}.nodes is []: allowed are one node or more")
         if fault.microstrain_per_s and fault.kind != "drift":
             raise InputError(f"{at}.microstrain_per_s: allowed only for a drift, this fault is {fault.kind!r}")
         for node_id in fault.nodes:

@@ -107,12 +107,9 @@ class _Master(FrameBuffer):
 
 
 def run_on_bus(
-    scene: schema.Scene,
-    fingers: Sequence[Finger],
-    duration_s: float,
-    recording: Recording,
+    scene: schema.Scene, fingers: Sequence[Finger], duration_s: float, recording: Recording,
     advance: Callable[[float], None],
-) -> None:
+) -> None:  # fmt: skip
     """Run the hand in real time; SYNCs that are late, or missed while the bus is down, stay so in the recording. Raises
     EnvironmentLackError for a bus that does not open, or is down at the end; what was received is recorded then too."""
     # Without a bus python-can's inside one process; a unique name keeps two runs in one process apart.
@@ -149,6 +146,4 @@ def run_on_bus(
 
 
 def _wait_until(monotonic_s: float) -> None:
-    remaining_s = monotonic_s - time.monotonic()
-    if remaining_s > 0.0:
-        time.sleep(remaining_s)
+    time.sleep(max(0.0, monotonic_s - time.monotonic()))

@@ -298,12 +298,9 @@ class Check:
 
 
 def judge(
-    scene: schema.Scene,
-    duration_s: float,
-    syncs: Sequence[float],
-    contacts: Mapping[int, Contact],
+    scene: schema.Scene, duration_s: float, syncs: Sequence[float], contacts: Mapping[int, Contact],
     emcys: Mapping[int, Emcy],
-) -> list[Check]:
+) -> list[Check]:  # fmt: skip
     """Return every expectation, for every node to which it applies. ``syncs``: their times, seconds."""
     checks = []
     for expect in scene.expect:

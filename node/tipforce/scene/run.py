@@ -41,13 +41,9 @@ class Outcome:
 
 
 def run_scene(
-    scene: schema.Scene,
-    folder: Path,
-    duration_s: float | None = None,
-    *,
-    realtime: bool = False,
+    scene: schema.Scene, folder: Path, duration_s: float | None = None, *, realtime: bool = False,
     advance: Callable[[float], None] = lambda _t_s: None,
-) -> Outcome:
+) -> Outcome:  # fmt: skip
     """Run a scene for ``duration_s`` in place of its own; ``realtime`` without a named bus: on one inside this process.
     Raises InputError for a duration or file, EnvironmentLackError for a bus that cannot be opened."""
     from tipforce.scene import results

@@ -15,10 +15,10 @@ from canopen_device.core.node import Device
 from canopen_device.running import loop
 from canopen_device.running.loop import MemoryStore
 from canopen_device.running.open_bus import PythonCanPort
-from tipforce.arrays import floats
+from tipforce.arrays import floats, real, whole
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.configuration.measurements import MOST_LOAD_NEWTONS
+from tipforce.host.configuration.measurements import LARGEST_MICROSTRAIN, MOST_LOAD_NEWTONS
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.interfaces import open_bus
 from tipforce.scene.delivered import CALIBRATION, beam_calibration, check_noise, pulls, stored_calibration
@@ -65,9 +65,10 @@ class SimulatedBus(Bus):
         source = self._source(node_id)
         if fault not in FAULTS:
             raise InputError(f"fault {fault!r}: allowed are {', '.join(FAULTS)}")
-        if not 1 <= gauge <= len(source.rows):
-            raise InputError(f"gauge {gauge}: allowed are 1 to {len(source.rows)}")
-        source.set_fault(FAULTS[fault], gauge, magnitude, loop.now_us())
+        gauge = whole("gauge", gauge, range(1, len(source.rows) + 1))
+        if not abs(real(magnitude)) <= LARGEST_MICROSTRAIN:
+            raise InputError(f"magnitude {magnitude!r}: allowed is up to {LARGEST_MICROSTRAIN:g} microstrain a second")
+        source.set_fault(FAULTS[fault], gauge, real(magnitude), loop.now_us())
 
     def close(self) -> None:
         """Stop the fingers and close the bus. Raises the error that ended their loop, if any."""
@@ -107,7 +108,7 @@ def simulated_hand(
     if not set(loads) <= set(chosen):
         raise InputError(f"loads of nodes {sorted(set(loads) - set(chosen))}: the hand has {list(chosen)}")
     loads = {node_id: _checked_load(node_id, load) for node_id, load in loads.items()}
-    check_noise(noise_microstrain)
+    noise_microstrain, seed = check_noise(noise_microstrain), whole("seed", seed)
     devices: dict[int, Device] = {}
     sources: dict[int, SimulatedSource] = {}
     A = strain_matrix(FABRICATED, layout)

@@ -1,8 +1,8 @@
 """Gauges on Linux Industrial I/O converters as a node's source: counts, or a fault (2124h), and never a stale value.
 
-No data (bit 8): a device that is removed or does not respond, or scans that do not arrive; it is opened again when it
-returns. Frozen (bit 9): time stamps do not increase. Wire break (bit 10): a gauge stays at an end of the range. Supply
-(bit 11): a channel outside its tolerance. Another board is polled through iiod, with libiio's time-out."""
+No data (bit 8): a device that is removed, does not respond or has another scale than at first, or scans that do not
+arrive; it is opened again when it returns. Frozen (bit 9): time stamps do not increase. Wire break (bit 10): a gauge
+stays at an end of the range. Supply (bit 11): a channel outside its tolerance. Another board: by iiod, with a limit."""
 
 from __future__ import annotations
 
@@ -33,15 +33,9 @@ class IioSource(Source):
     watch_us = WATCH_US
 
     def __init__(
-        self,
-        parts: Sequence[PolledDevice],
-        gauges: int,
-        converter: table.Converter,
-        ends: tuple[int, int],
-        supply_fault: Callable[[], bool] | None = None,
-        scan_period_us: int = 0,
-        clock: Callable[[], int] = now_us,
-    ) -> None:
+        self, parts: Sequence[PolledDevice], gauges: int, converter: table.Converter, ends: tuple[int, int],
+        supply_fault: Callable[[], bool] | None = None, scan_period_us: int = 0, clock: Callable[[], int] = now_us,
+    ) -> None:  # fmt: skip
         self.parts = list(parts)
         self.converter = converter
         self.count_min, self.count_max = ends
@@ -126,7 +120,10 @@ class IioSource(Source):
                 if now_us < lost_until_us:
                     return NO_DATA
                 part.reopen()
-            self._fresh[k] = part.read(now_us)
+            fresh = part.read(now_us)
+            if now_us - self._temperature_us >= TEMPERATURE_US:
+                part.check_scales()
+            self._fresh[k] = fresh
         except TimestampError as error:
             if not self.faults & FROZEN:
                 _LOG.warning("%s: %s; its readings are not used", part.name, error.strerror)
@@ -161,6 +158,7 @@ class RemoteDevice(PolledDevice):
         self.name = f"{uri}/{device}"
         self._uri, self._device, self.channels = uri, device, tuple(channels)
         self._inputs: dict[str, Any] = {}
+        self._scales = {}
         try:
             self._connect()
         except OSError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -58,20 +59,14 @@ def parse_devices(text: str) -> list[Place]:
 
 
 def open_iio(
-    devices: str,
-    layout_name: str,
-    gauges: int,
-    bridge: BridgeTable | None,
-    capture: Capture = Capture(),  # noqa: B008 - immutable
-    root: Path | None = None,
-) -> IioSource:
+    devices: str, layout_name: str, gauges: int, bridge: BridgeTable | None,
+    capture: Capture = Capture(), root: Path | None = None,  # noqa: B008 - immutable
+) -> IioSource:  # fmt: skip
     """Return the ``devices`` (text as for ``parse_devices``) as one source of ``gauges`` gauges. Raises InputError and
     EnvironmentLackError for devices that are missing, incompatible or not readable."""
     if bridge is None:
-        raise InputError(
-            f"--layout {layout_name}: the gauges of a real converter need a [bridge] table: a layout file with "
-            'points = ["K_H", "S_H", "U"] and [bridge] gauge_factor, excitation_volts, gain'
-        )
+        problem = f"--layout {layout_name}: the gauges of a real converter need a [bridge] table: a layout file with "
+        raise InputError(f'{problem}points = ["K_H", "S_H", "U"] and [bridge] gauge_factor, excitation_volts, gain')
     root = iio_sysfs.ROOT if root is None else root
     parts: list[PolledDevice] = []
     channels: list[_Channel] = []
@@ -93,18 +88,14 @@ def open_iio(
     if len(set(names)) != len(names):
         raise InputError(f"--source iio:{devices}: a channel is named twice")
     if len(names) != gauges:
-        raise InputError(
-            f"--source iio:{devices}: {len(names)} channels ({', '.join(names)}), but layout {layout_name} has "
-            f"{gauges} gauges; select channels: device0/voltage0"
-        )
+        problem = f"--source iio:{devices}: {len(names)} channels ({', '.join(names)}), but layout {layout_name} has "
+        raise InputError(f"{problem}{gauges} gauges; select channels: device0/voltage0")
     if bridge.count_range is not None:
         ends = [bridge.count_range]
     if len(set(ends)) != 1:
         shown = ", ".join(f"{low} to {high}" for low, high in dict.fromkeys(ends)) or "not stated by the driver"
-        raise InputError(
-            f"--source iio:{devices}: the range of counts is {shown}; all gauges need one range, and the layout file "
-            "can state it: [bridge] count_range = [lowest, highest]"
-        )
+        problem = f"--source iio:{devices}: the range of counts is {shown}; all gauges need one range, and the layout "
+        raise InputError(f"{problem}file can state it: [bridge] count_range = [lowest, highest]")
     bits = max(16, 1 + max(ends[0][1], ~ends[0][0]).bit_length())  # of a signed integer that holds the range
     converter = _converter(bridge, channels, bits)
     period_us = round(1e6 / capture.timer_hz) if capture.mode != "poll" else 0
@@ -134,15 +125,17 @@ def _converter(bridge: BridgeTable, channels: Sequence[_Channel], bits: int) -> 
         volts_per_count, millivolts = bridge.volts_per_count, channel.millivolts_per_count
         if volts_per_count is None:
             if millivolts is None:
-                raise InputError(
-                    f"{channel.name}: {channel.why}; state the converter's step in the layout file: "
-                    "[bridge] volts_per_count = (reference voltage / number of counts)"
-                )
+                problem = f"{channel.name}: {channel.why}; state the converter's step in the layout file: "
+                raise InputError(f"{problem}[bridge] volts_per_count = (reference voltage / number of counts)")
             if not (math.isfinite(millivolts) and millivolts > 0.0):
                 raise InputError(f"{channel.name}: scale {millivolts!r}; state [bridge] volts_per_count")
             volts_per_count = 1e-3 * millivolts
         zero = bridge.zero_volts / volts_per_count - channel.offset_counts
-        points.append((zero, zero + _FULL_MICROSTRAIN * gain * volts_per_microstrain / volts_per_count))
+        end = zero + _FULL_MICROSTRAIN * gain * volts_per_microstrain / volts_per_count
+        if not (max(abs(zero), abs(end)) <= 0x7FFFFFFF and abs(end - zero) >= 1e-6):
+            told = f"{channel.name}: 0 and 1000 microstrain are {zero:g} and {end:g} counts"
+            raise InputError(f"{told}: allowed are different ones of INTEGER32; check scale, offset and [bridge]")
+        points.append((zero, end))
     fits = all(abs(count) <= 0x7FFF for pair in points for count in pair)
     return (bits if fits else max(bits, 17)), abs(points[0][1] - points[0][0]) / _FULL_MICROSTRAIN, tuple(points)
 
@@ -180,13 +173,15 @@ def _trigger(device: Device, capture: Capture, root: Path) -> str | None:
 def _stated(
     name: str, attribute: Callable[[str], float | None], refusal: str, ends: tuple[int, int] | None
 ) -> _Channel:
+    offset, scale, why = 0.0, None, "the driver states no scale"
     try:
-        offset, scale = attribute("offset") or 0.0, attribute("scale")
+        offset = attribute("offset") or 0.0  # known also where the scale is not
+        scale = attribute("scale")
     except PermissionError:
         raise
     except OSError as error:
-        return _Channel(name, None, 0.0, refusal.format(error.strerror), ends)
-    return _Channel(name, scale, offset, "" if scale is not None else "the driver states no scale", ends)
+        why = refusal.format(error.strerror)
+    return _Channel(name, scale, offset, "" if scale is not None else why, ends)
 
 
 def _names(device: Device, channel: str) -> list[str]:
@@ -201,10 +196,8 @@ def _names(device: Device, channel: str) -> list[str]:
 def _local_channel(device: Device, channel: str, bridge: BridgeTable) -> _Channel:
     name, kind = f"{device.number}/{channel}", iio_sysfs.scan_type(device.path, channel)
     if kind is None and bridge.count_range is None:
-        raise InputError(
-            f"{name}: the driver does not state its range of counts; state it in the layout file: [bridge] "
-            "count_range = [lowest, highest]"
-        )
+        problem = f"{name}: the driver does not state its range of counts; state it in the layout file: [bridge] "
+        raise InputError(f"{problem}count_range = [lowest, highest]")
     refusal = "the kernel does not state its scale ({}: no regulator)"
     return _stated(name, partial(iio_sysfs.attribute, device.path, channel), refusal, kind.ends if kind else None)
 
@@ -213,9 +206,11 @@ def _supply(bridge: BridgeTable, root: Path) -> Callable[[], bool] | None:
     """Return a check whether the measured excitation is out of tolerance; None without a measurement."""
     if bridge.supply is None:
         return None
-    (place,) = parse_devices(bridge.supply)
+    place, *others = parse_devices(bridge.supply)
     device = iio_sysfs.find(place.device, root)
-    channel = _names(device, place.channel)[0]
+    channel, *more = _names(device, place.channel)
+    if others or more or place.uri:
+        raise InputError(f"[bridge] supply = {bridge.supply!r}: allowed is one channel here, device0/voltage1")
     part = PolledDevice(device, [channel])
     allowed = bridge.supply_tolerance * bridge.excitation_volts
 
@@ -223,6 +218,8 @@ def _supply(bridge: BridgeTable, root: Path) -> Callable[[], bool] | None:
         try:
             volts = 1e-3 * part.quantity(channel) * bridge.supply_divider
         except OSError:
+            with suppress(OSError):  # it may be back under another number
+                part.reopen()
             return True
         return not abs(volts - bridge.excitation_volts) <= allowed
 

@@ -9,6 +9,8 @@ import os
 import re
 from collections import deque
 from collections.abc import Sequence
+from itertools import product
+from math import isfinite
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +20,7 @@ from tipforce.errors import EnvironmentLackError, InputError
 ROOT = Path("/sys/bus/iio/devices")
 _RAW = re.compile(r"in_(voltage\d*(?:-voltage\d+)?(?:_[a-z]\w*?)?)_raw")
 _TEMPERATURE = re.compile(r"in_(temp\d*)_(?:raw|input)")
-_SCAN_TYPE = re.compile(r"(be|le):([su])(\d+)/(\d+)(?:X(\d+))?(?:>>(\d+))?")
+_SCAN_TYPE = re.compile(r"(be|le):([su])([1-9]\d*)/(\d+)(?:X(\d+))?(?:>>(\d+))?")
 DEVICE_FILES = Path("/dev")
 HRTIMER = Path("/sys/kernel/config/iio/triggers/hrtimer")
 CLOCK = "monotonic"  # of the time stamps: the node's own clock, independent of the time of day
@@ -107,11 +109,13 @@ def attribute(path: Path, channel: str, name: str) -> float | None:
     kind = re.sub(r"\d+", "", channel)
     for file in (f"in_{channel}_{name}", f"in_{kind}_{name}", f"in_{name}"):
         try:
-            return float((path / file).read_text())
+            if isfinite(value := float((path / file).read_text())):
+                return value
         except FileNotFoundError:
             continue
         except ValueError:
-            raise OSError(5, f"{file} holds no number") from None
+            pass
+        raise OSError(5, f"{file} holds no number")
     return None
 
 
@@ -138,6 +142,7 @@ class PolledDevice:
 
     def __init__(self, device: Device, channels: Sequence[str]) -> None:
         self.path, self.name, self.channels = device.path, device.number, tuple(channels)
+        self._scales: dict[tuple[str, str], float | None] = {}
         self.reopen()
 
     def reopen(self) -> None:
@@ -150,6 +155,17 @@ class PolledDevice:
             self.path = present[0]
         matches = (_TEMPERATURE.fullmatch(entry.name) for entry in self.path.iterdir())
         self._temperature = min((match[1] for match in matches if match), default=None)
+        self.check_scales()
+
+    def check_scales(self) -> None:
+        """Raise OSError for a scale or an offset that is another than at the first call: counts mean another strain."""
+        for place in product(self.channels, ("scale", "offset")):
+            try:
+                value = self.attribute(*place)
+            except OSError:  # some are not readable, or not during a capture
+                continue
+            if value != self._scales.setdefault(place, value):
+                raise OSError(5, f"{' '.join(place)} is {value}, was {self._scales[place]}")
 
     def read(self, _now_us: int) -> tuple[int, ...] | None:
         """Return new counts of all channels, or None. Raises OSError if the device is removed or does not respond."""
@@ -333,7 +349,7 @@ def make_hrtimer(name: str, frequency_hz: float, root: Path = ROOT, configfs: Pa
         if not configfs.is_dir():
             raise FileNotFoundError(2, f"{configfs} is missing")
         (configfs / name).mkdir(exist_ok=True)
-        write_attribute(triggers(root)[name] / "sampling_frequency", f"{frequency_hz:.0f}")
+        write_attribute(triggers(root)[name] / "sampling_frequency", f"{frequency_hz:.3f}".rstrip("0").rstrip("."))
     except (OSError, KeyError) as error:
         raise EnvironmentLackError(
             f"hrtimer trigger: {error}; as root: `modprobe iio-trig-hrtimer` and "

@@ -150,12 +150,9 @@ def layout_text(
 
 
 def write_layout(
-    path: str | Path,
-    geometry: Geometry,
-    gauges: Sequence[Gauge],
-    gauge_length_m: float | None = None,
+    path: str | Path, geometry: Geometry, gauges: Sequence[Gauge], gauge_length_m: float | None = None,
     comment: str = "",
-) -> None:
+) -> None:  # fmt: skip
     """Write layout_text() to a file. Raises InputError for an unusable path, WriteError if writing fails."""
     write_file(path, layout_text(geometry, gauges, gauge_length_m, comment), LAYOUT)
 

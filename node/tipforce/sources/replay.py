@@ -17,22 +17,18 @@ class ReplaySource(Source):
     degC; ``loop``: again after the median step. Raises ValueError for no rows, a wrong order or speed."""
 
     def __init__(
-        self,
-        times_us: "Sequence[int]",
-        rows: "Sequence[tuple[int, ...] | None]",
-        converter: "Converter",
-        ends: "tuple[int, int]",
-        speed: float = 1.0,
-        loop: bool = False,
-        temperatures: "Sequence[int] | None" = None,
-    ) -> None:
+        self, times_us: "Sequence[int]", rows: "Sequence[tuple[int, ...] | None]", converter: "Converter",
+        ends: "tuple[int, int]", speed: float = 1.0, loop: bool = False, temperatures: "Sequence[int] | None" = None,
+    ) -> None:  # fmt: skip
         if not rows or len(rows) != len(times_us):
             raise ValueError("replay: %d rows at %d times" % (len(rows), len(times_us)))
-        steps = sorted([times_us[k] - times_us[k - 1] for k in range(1, len(times_us))])
-        if steps and steps[0] <= 0:
-            raise ValueError("replay: times that do not increase")
-        if not 0.0 < speed < float("inf"):
-            raise ValueError("replay: speed %r, allowed is a positive number" % speed)
+        steps = [times_us[k] - times_us[k - 1] for k in range(1, len(times_us))]
+        late = [row for row, step_us in enumerate(steps, 2) if step_us <= 0]
+        if late:
+            raise ValueError("replay: times that do not increase, first at row %d" % late[0])
+        steps.sort()
+        if not 0.0 < speed <= 1e9:
+            raise ValueError("replay: speed %r, allowed is a positive number up to 1e9" % speed)
         self.converter = converter
         self.count_min, self.count_max = ends
         self._times_us = [time_us - times_us[0] for time_us in times_us]

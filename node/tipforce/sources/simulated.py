@@ -28,15 +28,10 @@ class SimulatedSource(Source):
     simulated = True
 
     def __init__(
-        self,
-        strain_per_newton: "Sequence[Sequence[float]]",
-        noise_microstrain: float = 0.0,
-        offset_microstrain: "Sequence[float] | None" = None,
-        seed: int = 0,
-        temperature: int = _ROOM_TEMPERATURE,
-        front_end: "FrontEnd | None" = None,
-        forces: "Callable[[int], Forces] | None" = None,
-    ) -> None:
+        self, strain_per_newton: "Sequence[Sequence[float]]", noise_microstrain: float = 0.0,
+        offset_microstrain: "Sequence[float] | None" = None, seed: int = 0, temperature: int = _ROOM_TEMPERATURE,
+        front_end: "FrontEnd | None" = None, forces: "Callable[[int], Forces] | None" = None,
+    ) -> None:  # fmt: skip
         self.rows = [tuple([float(x) for x in row]) for row in strain_per_newton]
         self.noise_microstrain = noise_microstrain
         self.offset_microstrain = list(offset_microstrain) if offset_microstrain else [0.0] * len(self.rows)

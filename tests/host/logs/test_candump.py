@@ -44,32 +44,19 @@ def test_what_is_written_reads_back(rows: list[tuple[RawFrame, str]], log: bool,
 
 
 BAD = [
-    ("hello", "not a candump line"),
-    ("(1700000000.123456) vcan0", "not a candump line"),
-    ("  vcan0  181   8  00", "not a candump line"),
-    ("(1700000000.12345) vcan0 181#00", "timestamp"),
-    ("(yesterday) vcan0 181#00", "timestamp"),
-    ("(2023-13-01 00:00:00.000000) vcan0 181#00", "timestamp"),
-    ("(99999999999.000000) vcan0 181#00", "timestamp"),
-    ("(9223372036.854776) vcan0 181#00", "timestamp"),
-    ("(1700000000.123456) vcan0 18#00", "identifier"),
-    ("(1700000000.123456) vcan0 1 81#00", "not a candump line"),
-    ("(1700000000.123456) vcan0 800#00", "identifier"),
-    ("(1700000000.123456) vcan0 18G#00", "identifier"),
-    ("(1700000000.123456) vcan0 40000000#00", "identifier"),
-    ("(1700000000.123456) vcan0 181#0", "data"),
-    ("(1700000000.123456) vcan0 181#0G", "data"),
-    ("(1700000000.123456) vcan0 181#000102030405060708", "length"),
-    ("(1700000000.123456) vcan0 181#R9", "length"),
-    ("(1700000000.123456) vcan0 181#RX", "data"),
-    ("  vcan0  181   [2]  00", "length"),
-    ("  vcan0  181   [9]  00", "length"),
-    ("  vcan0  181   [1]  0", "data"),
-    ("  vcan0  181   [2]  02`01", "data"),
-    ("  vcan0  181   [1]  00000001", "data"),
-    ("  vcan0  1811  [1]  00", "identifier"),
-    ("\N{REPLACEMENT CHARACTER}\0", "not a candump line"),
-]
+    ("hello", "not a candump line"), ("(1700000000.123456) vcan0", "not a candump line"),
+    ("  vcan0  181   8  00", "not a candump line"), ("(1700000000.12345) vcan0 181#00", "timestamp"),
+    ("(yesterday) vcan0 181#00", "timestamp"), ("(2023-13-01 00:00:00.000000) vcan0 181#00", "timestamp"),
+    ("(99999999999.000000) vcan0 181#00", "timestamp"), ("(9223372036.854776) vcan0 181#00", "timestamp"),
+    ("(1700000000.123456) vcan0 18#00", "identifier"), ("(1700000000.123456) vcan0 1 81#00", "not a candump line"),
+    ("(1700000000.123456) vcan0 800#00", "identifier"), ("(1700000000.123456) vcan0 18G#00", "identifier"),
+    ("(1700000000.123456) vcan0 40000000#00", "identifier"), ("(1700000000.123456) vcan0 181#0", "data"),
+    ("(1700000000.123456) vcan0 181#0G", "data"), ("(1700000000.123456) vcan0 181#000102030405060708", "length"),
+    ("(1700000000.123456) vcan0 181#R9", "length"), ("(1700000000.123456) vcan0 181#RX", "data"),
+    ("  vcan0  181   [2]  00", "length"), ("  vcan0  181   [9]  00", "length"), ("  vcan0  181   [1]  0", "data"),
+    ("  vcan0  181   [2]  02`01", "data"), ("  vcan0  181   [1]  00000001", "data"),
+    ("  vcan0  1811  [1]  00", "identifier"), ("\N{REPLACEMENT CHARACTER}\0", "not a candump line"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("line", "reason"), BAD)
@@ -94,14 +81,12 @@ def test_many_bad_lines_are_counted_and_the_first_is_shortened() -> None:
 def test_what_is_no_classic_frame_is_counted() -> None:
     parser = CandumpParser(strict=True)
     lines = [
-        "(1700000000.123456) vcan0 123##5000102030405060708090A0B",
+        "", "(1700000000.123456) vcan0 123##5000102030405060708090A0B",
         "  vcan0  123  [12]  00 01 02 03 04 05 06 07 08 09 0A 0B",
         "  vcan0  123  [08]  00 01 02 03 04 05 06 07",
         "DROPCOUNT: dropped 7 CAN frames on 'vcan0' socket (total drops 9)",
-        "DROPCOUNT: dropped 1 CAN frame on 'vcan0' socket (total drops 10)",
-        "\tcontroller-problem{rx-error-warning}",
-        "",
-    ]
+        "DROPCOUNT: dropped 1 CAN frame on 'vcan0' socket (total drops 10)", "\tcontroller-problem{rx-error-warning}",
+    ]  # fmt: skip
     assert len(block_of_text("\n".join(lines), parser).frames) == 0
     assert (parser.notes.skipped, parser.notes.bad) == ({"CAN FD frame": 3, "frame dropped by candump": 8}, {})
 

@@ -14,11 +14,8 @@ from tipforce.errors import InputError
 from tipforce.host.logs.reader import open_log
 
 FRAMES = [
-    (0x00000285, bytes(range(8))),
-    (0x81234567, b"\x07"),
-    (0x40000181, b""),
-    (0x20000004, bytes([0, 4, 0, 0, 0, 0, 0, 0])),
-]
+    (0x00000285, bytes(range(8))), (0x81234567, b"\x07"), (0x40000181, b""), (0x20000004, b"\0\4\0\0\0\0\0\0"),
+]  # fmt: skip
 T_NS = 1_700_000_000_123_456_000
 COUNTS = {"remote frame": 1, "error frame": 1}
 

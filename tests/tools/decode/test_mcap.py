@@ -19,6 +19,8 @@ from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.logs.reader import open_log
 from tipforce.samples import reasons
 from tipforce.watching.feeds import Finger
+from tipforce_robots.mcap_file import McapWriter
+from tipforce_robots.ros2 import cdr
 from tipforce_tools.cli.main import main
 from tipforce_tools.page.sources import LogSource
 from tools.decode.logs import START_US, decode, log_lines, number, rows_of, write_log
@@ -177,3 +179,16 @@ def test_a_file_of_other_messages_and_a_damaged_one(files: Path, printed: Printe
         writer.start()
         writer.finish()  # type: ignore[no-untyped-call]
     assert "no CAN frames (can_msgs/msg/Frame) in it" in printed(1, f"decode {files}/other.mcap").err
+    with (files / "one.mcap").open("wb") as stream:  # one message that is none, and a frame after it
+        made = McapWriter(stream)
+        place = made.channel("/can0/frames", cdr.FRAME)
+        frame = {"id": 0x285, "is_rtr": False, "is_extended": False, "is_error": False, "dlc": 8, "data": bytes(8)}
+        header = {"header": {"stamp": cdr.stamp(10**9), "frame_id": "can0"}}
+        for data in (b"", cdr.encode(cdr.FRAME, header | frame)):
+            made._add(place, 10**9, data)
+        made.close([])
+    assert "1 not CAN" in printed(0, f"decode {files}/one.mcap -o {files}/one.csv").err
+    assert len(rows_of(files / "one.csv")) == 1
+    write_log(files / "later.log", ["(2147483648.000000) can0 285#0102030405060708"])
+    err = printed(2, f"decode {files}/later.log -o {files}/later.mcap").err
+    assert "a time of 2147483648.000000 s: allowed in ROS 2 are 0 to 2147483647 s" in err

@@ -49,7 +49,7 @@ def observation(row: Mapping[str, Contact] | Mapping[str, TwinSample]) -> Observ
     """Return one row of fingers, in its order: a ``HandRow``, or what ``Fingertips.read`` returned."""
     contacts = [tip if isinstance(tip, Contact) else tip.contact for tip in row.values()]
     columns = ([[getattr(tip, name) for name in names] for tip in contacts] for names in (_VALUES, _UNCERTAINTIES))
-    return masked(*map(np.array, columns))
+    return masked(*(np.array(column, dtype=np.float64).reshape(-1, 3) for column in columns))
 
 
 def masked(values: FloatArray, uncertainties: FloatArray) -> Observation:
@@ -102,11 +102,14 @@ class Observations:
 
 def recorded_observations(log: Log, node_ids: Sequence[int] | None = None) -> Observations:
     """Return the samples of ``log``, one for each sample of the first finger; another without a sample within half its
-    period is not valid there. Raises InputError for nodes that the log does not have."""
+    period is not valid there. Raises InputError for nodes that the log does not have, and times that go back."""
     chosen = list(log if node_ids is None else node_ids)
     if not chosen or not set(chosen) <= set(log):
         raise InputError(f"nodes {chosen}: the log has {', '.join(map(str, log)) or 'none'}")
     t_s = log[chosen[0]].t_s
+    for node_id in chosen:
+        if not (np.diff(log[node_id].t_s, prepend=-np.inf) >= 0.0).all():
+            raise InputError(f"node {node_id}: times that are missing or go back: allowed are those of one clock")
     half_period_s = 0.5 * float(np.median(np.diff(t_s))) if len(t_s) > 1 else np.inf
     values, uncertainties = np.full((2, len(t_s), len(chosen), 3), np.nan)
     for k, node_id in enumerate(chosen):

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 _IDLE_S = 0.2  # the longest wait: bounds the time until a stop request is seen
 _LONGEST_LAG_S = 0.2
+_MOST_FRAMES = 10_000  # at once: a node that sends without end must not stop the simulation
 
 
 class TwinNodes(AbstractContextManager["TwinNodes"]):
@@ -32,12 +33,9 @@ class TwinNodes(AbstractContextManager["TwinNodes"]):
     let ``follow_sync`` (reproducible) or ``follow_clock`` step. ``on_frame`` gets received (COB-ID, data)."""
 
     def __init__(
-        self,
-        tips: Fingertips,
-        data: mujoco.MjData,
-        bus: can.BusABC,
+        self, tips: Fingertips, data: mujoco.MjData, bus: can.BusABC,
         on_frame: Callable[[int, bytes], object] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._tips, self._data, self._on_frame = tips, data, on_frame
         self._port = PythonCanPort(bus)
         self._due_us = 0
@@ -47,25 +45,32 @@ class TwinNodes(AbstractContextManager["TwinNodes"]):
         """Hand the frames received over to the nodes, and send theirs; wait up to ``timeout_s`` for the first one.
         Raises InputError where the time of ``data`` went back without a ``Fingertips.reset``."""
         self._keep_time()
-        while (frame := self._port.receive(timeout_s)) is not None:
+        for _ in range(_MOST_FRAMES):
+            if (frame := self._port.receive(timeout_s)) is None:
+                break
             self._deliver(frame)
             timeout_s = 0.0
 
     def follow_sync(self, step: Step, period_s: float, stop: Callable[[], bool]) -> None:
         """Advance the model by ``period_s`` for each SYNC, and sample after it, until ``stop()``. Between SYNCs the
-        simulation stands still, and SDO and NMT are served. Raises InputError for a period that is not positive."""
+        simulation stands still, and SDO and NMT are served. After a reset of the model the time goes on from there.
+        Raises InputError for a period that is not positive, and for a step that does not advance the time."""
         if not (isfinite(period_s) and period_s > 0.0):
             raise InputError(f"period_s = {period_s!r}: allowed is a positive finite number")
-        due_s = self._data.time
+        due_s = last_s = self._data.time
         while not stop():
             frame = self._port.receive(_IDLE_S)
             if frame is None:
                 continue
             if frame[0] == codes.SYNC_COB_ID:
+                due_s += min(0.0, self._data.time - last_s)  # after a reset of the model
                 due_s += period_s
-                while self._data.time < due_s - 1e-9:
+                while (last_s := self._data.time) < due_s - 1e-9:
                     step()
                     self._keep_time()
+                    if self._data.time == last_s:
+                        raise InputError(f"step: the time of data stays at {last_s} s: allowed is one that advances it")
+                    due_s += min(0.0, self._data.time - last_s)
             self._deliver(frame)
 
     def follow_clock(self, step: Step, stop: Callable[[], bool]) -> float:
@@ -73,7 +78,9 @@ class TwinNodes(AbstractContextManager["TwinNodes"]):
         simulation that is more than 0.2 s late goes on from there, slower than the clock."""
         start_s, lost_s = time.monotonic() - self._data.time, 0.0
         while not stop():
+            before_s = self._data.time
             step()
+            start_s += max(0.0, before_s - self._data.time)  # after a reset of the model
             ahead_s = self._data.time - (time.monotonic() - start_s)
             if ahead_s < -_LONGEST_LAG_S:
                 start_s -= ahead_s

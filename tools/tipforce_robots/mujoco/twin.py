@@ -10,6 +10,7 @@ import numpy as np
 
 from canopen_device.core.node import Device
 from canopen_device.running.loop import MemoryStore
+from tipforce.arrays import whole
 from tipforce.errors import InputError, needing
 from tipforce.fingertip.node import Fingertip, fingertip_node
 from tipforce.host.configuration.calibration import Calibration
@@ -19,6 +20,7 @@ from tipforce.samples.reasons import Status
 from tipforce.scene.delivered import CALIBRATION, beam_calibration, check_noise, stored_calibration
 from tipforce.sensor import FABRICATED, strain_matrix
 from tipforce.sensor.contact import scalar
+from tipforce.sensor.structure.layouts import CUSTOM_LAYOUT_CODE, layout_code
 from tipforce.sources.simulated import SimulatedSource
 
 with needing('MuJoCo is not installed: pip install "tipforce[mujoco]"'):
@@ -95,7 +97,7 @@ class Load:
     def cancelled_newtons(self) -> float:
         """By how much the magnitudes of several contact forces exceed that of their sum; the gauges see the sum."""
         x, y, z = self.force_newtons
-        return max(0.0, self.sum_newtons - sqrt(x * x + y * y + z * z))
+        return max(self.sum_newtons - sqrt(x * x + y * y + z * z), 0.0)  # in this order NaN stays NaN
 
 
 _NAN = float("nan")
@@ -182,12 +184,13 @@ class Fingertips:
         calibration: Calibration | None = None, noise_microstrain: float = 0.5, seed: int = 0,
         node_ids: Mapping[str, int] | None = None,
     ) -> None:  # fmt: skip
-        check_noise(noise_microstrain)
-        self._noise_microstrain = noise_microstrain
+        self._noise_microstrain = noise_microstrain = check_noise(noise_microstrain)
         self._rows: list[Vector] = [(a, b, c) for a, b, c in strain_matrix(FABRICATED, layout).tolist()]
         self._calibration = calibration or beam_calibration(layout, noise_microstrain=noise_microstrain)
         if self._calibration.gauges != len(self._rows):
             raise InputError(f"calibration of {self._calibration.gauges} gauges: the layout has {len(self._rows)}")
+        if self._calibration.layout_code not in (CUSTOM_LAYOUT_CODE, layout_code(layout)):
+            raise InputError(f"calibration of another layout: allowed is one of {layout!r}, or without a layout")
         self._stored = stored_calibration(self._calibration)
         self.node_ids = _node_ids(list(sites), node_ids)
         self._model, self._force = model, np.zeros(6)
@@ -195,7 +198,8 @@ class Fingertips:
         self.reset(seed)
 
     def reset(self, seed: int = 0) -> None:
-        """Make new nodes, powered on at time 0, as after ``mj_resetData``; ``seed`` is that of the noise."""
+        """Make new nodes, powered on at time 0, as after ``mj_resetData``; ``seed``, an integer, is of the noise."""
+        seed = whole("seed", seed)
         self._data: mujoco.MjData | None = None
         self._now_us = 0
         self._loads: list[Load] | None = None
@@ -309,8 +313,8 @@ def _node_ids(fingers: list[str], chosen: Mapping[str, int] | None) -> dict[str,
     if not fingers:
         raise InputError("sites: allowed is one finger or more")
     if chosen is not None and set(chosen) != set(fingers):
-        raise InputError(f"node_ids of {', '.join(chosen)}: allowed are those of {', '.join(fingers)}")
+        raise InputError(f"node_ids of {', '.join(map(str, chosen))}: allowed are those of {', '.join(fingers)}")
     by_finger = {name: k if chosen is None else chosen[name] for k, name in enumerate(fingers, 1)}
-    if len(set(by_finger.values())) != len(by_finger) or not all(1 <= node_id <= 127 for node_id in by_finger.values()):
+    if len(set(by_finger.values())) != len(by_finger) or not all(k in range(1, 128) for k in by_finger.values()):
         raise InputError(f"node_ids {list(by_finger.values())}: allowed are different ones from 1 to 127")
-    return by_finger
+    return {name: int(node_id) for name, node_id in by_finger.items()}

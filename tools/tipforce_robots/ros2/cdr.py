@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.errors import InputError
 from tipforce.shipped_files import shipped_folder
 
 _STANDARD = {
@@ -144,7 +145,10 @@ def split(rows: Rows) -> list[bytes]:
 
 
 def set_stamps(rows: Rows, t_ns: npt.NDArray[np.int64]) -> None:
-    """Set ``header.stamp`` of rows (k,) to times (k,) in nanoseconds of the epoch."""
+    """Set ``header.stamp`` of rows (k,) to times (k,) in nanoseconds of the epoch. Raises InputError beyond 2038."""
+    outside = t_ns[(t_ns < 0) | (t_ns >= 1_000_000_000 << 31)]
+    if len(outside):  # of builtin_interfaces/Time; MCAP has no times before 1970
+        raise InputError(f"a time of {1e-9 * outside[0]:.6f} s: allowed in ROS 2 are 0 to {(1 << 31) - 1} s")
     rows["header.stamp.sec"], rows["header.stamp.nanosec"] = np.divmod(t_ns, 1_000_000_000)
 
 

@@ -371,8 +371,9 @@ def estimate(
 
 def _room(out: Contacts | None, shape: tuple[int, ...]) -> Contacts:
     contacts = Contacts.empty(*shape) if out is None else out
-    columns = [getattr(contacts, name, None) for name in Contacts.__slots__]
-    if any(not isinstance(column, np.ndarray) or column.shape != shape for column in columns):
+    columns: list[Any] = [getattr(contacts, name, None) for name in Contacts.__slots__]
+    whole = all(isinstance(of, np.ndarray) and of.shape == shape and of.flags.writeable for of in columns)
+    if not whole or any(of.dtype.kind != "f" for of in columns[:6]) or not np.can_cast("u2", columns[6].dtype):
         raise InputError(f"out: allowed is Contacts.empty({shape[0]})")
     return contacts
 

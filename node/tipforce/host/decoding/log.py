@@ -145,13 +145,10 @@ def _data_frame(samples: NodeLog | Log) -> pandas.DataFrame:
 
 
 def read_log(
-    path: str | PathLike[str] | Iterable[str | PathLike[str]],
-    *,
-    calibration: Calibration | Mapping[int, Calibration] | None = None,
-    gauges: int | None = None,
-    channel: str | None = None,
-    strict: bool = False,
-) -> Log:
+    path: str | PathLike[str] | Iterable[str | PathLike[str]], *,
+    calibration: Calibration | Mapping[int, Calibration] | None = None, gauges: int | None = None,
+    channel: str | None = None, strict: bool = False,
+) -> Log:  # fmt: skip
     """Decode one or more logs of any format that `tipforce decode` reads, in sequence, also by a pattern: "run*.log".
 
     ``calibration``: one, or by node-id: it estimates P, phi and theta from all gauges, else gives their uncertainties.

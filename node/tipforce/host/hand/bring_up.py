@@ -108,13 +108,9 @@ def wanted_settings(hand: HandFile, finger: FingerPlan) -> Configuration:
 
 
 def set_up(
-    connection: Bus,
-    hand: HandFile,
-    report: FingerReport,
-    wanted: Configuration,
-    on_event: OnEvent,
+    connection: Bus, hand: HandFile, report: FingerReport, wanted: Configuration, on_event: OnEvent,
     before_start: Callable[[Finger], None] = lambda _finger: None,
-) -> None:
+) -> None:  # fmt: skip
     """Run the steps from identity to start on a node with its node-id; also after a reboot. Errors go to the report."""
     plan, started_s = report.plan, time.monotonic()
     finger = connection.finger(plan.node_id)

@@ -9,6 +9,7 @@ import msgspec
 
 from canopen_device.paths_below import below
 from canopen_device.toml_table import convert, read_table
+from tipforce.arrays import whole
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError, placed
 from tipforce.host.configuration.calibration import Calibration, read_calibration
@@ -115,7 +116,11 @@ def read_hand(path: str | Path) -> HandFile:
 def hand_of(fingers: Mapping[str, int] | Sequence[int], plan: HandPlan) -> HandFile:
     """Return a hand without a file: node-ids, or node-ids by name. Raises InputError as ``check_hand``."""
     named = fingers.items() if isinstance(fingers, Mapping) else [(f"finger {node_id}", node_id) for node_id in fingers]
-    hand = HandFile(finger=tuple(FingerPlan(node_id=node_id, name=name) for name, node_id in named), hand=plan)
+    for name, _ in named:
+        if not isinstance(name, str):
+            raise InputError(f"finger {name!r}: allowed are node-ids by name, as {{'thumb': 1}}")
+    plans = (FingerPlan(node_id=whole(f"finger {name!r}: node-id", number), name=name) for name, number in named)
+    hand = HandFile(finger=tuple(plans), hand=plan)
     check_hand(hand)
     return hand
 

@@ -96,14 +96,9 @@ class Hand:
 
     @classmethod
     def open(
-        cls,
-        fingers: str | Path | Mapping[str, int] | Sequence[int],
-        *,
-        bus: Bus | None = None,
-        need_all: bool = True,
-        plan: HandPlan | None = None,
-        **bus_options: Any,
-    ) -> Hand:
+        cls, fingers: str | Path | Mapping[str, int] | Sequence[int], *, bus: Bus | None = None,
+        need_all: bool = True, plan: HandPlan | None = None, **bus_options: Any,
+    ) -> Hand:  # fmt: skip
         """Return a running hand: every finger is found, configured, calibrated and started, and SYNCs are sent.
 
         ``fingers``: the path of a hand file, node-ids, or these by name. ``bus``: an open one, which stays open; or

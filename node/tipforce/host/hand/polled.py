@@ -11,6 +11,7 @@ from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import Decoder, Samples
 from tipforce.host.network.bus import Bus
+from tipforce.host.network.sdo import checked_time
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,11 +39,11 @@ class PolledHand:
         unknown = [name for name in messages if not bases.get(name)]
         if unknown:
             raise InputError(f"message {unknown[0]!r}: allowed are {', '.join(name for name in bases if bases[name])}")
-        if not node_ids or len(set(node_ids)) != len(node_ids):
-            raise InputError(f"node-ids {list(node_ids)}: allowed is each node-id once")
         self.connection = connection
-        self.node_ids = tuple(node_ids)
-        self.fingers = {n: connection.finger(n) for n in self.node_ids}
+        self.fingers = {finger.node_id: finger for finger in map(connection.finger, node_ids)}
+        self.node_ids = tuple(self.fingers)
+        if not 0 < len(self.fingers) == len(node_ids):
+            raise InputError(f"node-ids {list(node_ids)}: allowed is each node-id once")
         self._expected = {bases[name] + n for name in messages for n in self.node_ids}
         self._decoder = Decoder(gauges, self.node_ids)
 
@@ -57,7 +58,8 @@ class PolledHand:
             self.connection.nmt("preop", node_id)
 
     def sample(self, timeout_s: float = 0.1) -> HandSample:
-        """Send one SYNC and collect the answers; a finger without an answer in time is marked missing."""
+        """Send one SYNC and collect the answers; a finger without one is marked missing. Raises InputError for NaN."""
+        timeout_s = checked_time("timeout_s", timeout_s)
         self.connection.buffer.clear()
         self.connection.sync()
         frames = self.connection.buffer.take(self._expected, time.monotonic() + timeout_s)

@@ -203,12 +203,15 @@ def _unpacked(records: Iterable[Any], path: Path) -> Iterator[Any]:
 
 
 def _message_row(path: Path, notes: LogNotes, topic: str, log_time_ns: int, data: bytes) -> bytes:
-    order = data[1] & 1
-    sec, nanosec, size = _HEAD[order].unpack_from(data, _CDR_HEADER)
-    start = _CDR_HEADER + _HEAD[order].size
-    name = data[start : start + size - 1].decode() or topic
-    end = start + size
-    can_id, remote, extended, error, length, payload = _REST[order].unpack_from(data, end + -end % 4)
+    try:
+        order = data[1] & 1
+        sec, nanosec, size = _HEAD[order].unpack_from(data, _CDR_HEADER)
+        start = _CDR_HEADER + _HEAD[order].size
+        name, end = data[start : start + size - 1].decode(errors="replace") or topic, start + size
+        can_id, remote, extended, error, length, payload = _REST[order].unpack_from(data, end + -end % 4)
+    except (IndexError, struct.error):
+        notes.note_bad("not CAN", f"{path}: a message of {topic} that is cut, or no {SCHEMA}")
+        return b""
     channel = notes.channel(name, path)
     if channel is None:
         return b""

@@ -15,6 +15,7 @@ from tipforce.host.logs.reader import open_log
 from tipforce.sources.replay import ReplaySource
 
 _ENDS_16, _ENDS_24 = (-0x8000, 0x7FFF), (-0x800000, 0x7FFFFF)
+_END_MICROSTRAIN = 3276.65  # of a PDO; where a converter ends within, the flag does not say which gauge was saturated
 
 
 def open_recording(text: str, gauges: int, speed: float, loop: bool, bits: int) -> ReplaySource:
@@ -70,14 +71,16 @@ def _from_csv(path: str) -> tuple[FloatArray, FloatArray, FloatArray | None]:
 def _from_log(path: str, node_id: int | None) -> tuple[FloatArray, FloatArray, None]:
     decoder = Decoder()
     readings: dict[int, list[tuple[FloatArray, FloatArray]]] = {}
-    names = ("SG1", "SG2", "SG3", "stale", "fault")
+    names = ("SG1", "SG2", "SG3", "stale", "fault", "saturated")
     with open_log(path) as log:
         for frames in log:
             for (sender, _message), samples in decoder.decode(frames, names).items():
                 columns = samples.columns
                 if all(name in columns for name in names):
                     strain = np.column_stack([columns[name] for name in names[:3]]).astype(np.float64)
-                    strain[columns["stale"] | columns["fault"]] = np.nan
+                    saturated, at_end = columns["saturated"], np.abs(strain) > _END_MICROSTRAIN
+                    strain[at_end & saturated[:, np.newaxis]] *= 1e6  # at the end of any converter
+                    strain[columns["stale"] | columns["fault"] | saturated & ~at_end.any(axis=1)] = np.nan
                     readings.setdefault(sender, []).append((np.multiply(samples.t_ns, 1e-9, dtype=np.float64), strain))
     if node_id is None and len(readings) > 1:
         ids = ", ".join(map(str, sorted(readings)))

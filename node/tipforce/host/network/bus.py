@@ -16,6 +16,7 @@ import can
 from canopen_device.can_frame import raw_can_id
 from canopen_device.core import codes
 from canopen_device.errors import cause
+from tipforce.arrays import whole
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
 from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
@@ -216,8 +217,7 @@ class Bus:
 
     def sdo(self, node_id: int) -> SdoChannel:
         """Return the SDO channel to a node; the same object for the same node. Raises InputError outside 1..127."""
-        if not isinstance(node_id, int) or not 1 <= node_id <= 127:
-            raise InputError(f"node-id {node_id!r}: allowed are 1 to 127")
+        node_id = whole("node-id", node_id, range(1, 128))
         with self._lock:
             if node_id not in self._channels:
                 self._channels[node_id] = SdoChannel(

@@ -82,7 +82,8 @@ class Finger:
     NoResponseError and SdoAbortError as ``SdoChannel`` does."""
 
     def __init__(self, connection: Bus, node_id: int, *, passive: bool = False, default_gauges: int = 3) -> None:
-        self.node_id, self.sdo = node_id, connection.sdo(node_id)
+        self.sdo = connection.sdo(node_id)
+        self.node_id = self.sdo.node_id
         self._connection, self._passive, self._default_gauges = connection, passive, default_gauges
         self._lock = threading.Lock()
         self._reader: ContactReader | None = None
@@ -91,7 +92,7 @@ class Finger:
     def read(self, timeout_s: float = 1.0) -> Contact:
         """Return the newest unread sample, or the next; sends a SYNC if no node does. Raises NoNewSampleError after
         ``timeout_s``, as ``SdoChannel``, and InputError without a PDO of contact, force or all gauges."""
-        checked_time("timeout_s", timeout_s)
+        timeout_s = checked_time("timeout_s", timeout_s)
         period_s = None if self._passive or not timeout_s else 1.0 / DEFAULT_RATE_HZ
         deadline_s = time.monotonic() + timeout_s
         while (contact := self._opened().newest(deadline_s, period_s)) is None:
@@ -103,7 +104,7 @@ class Finger:
         ``rate_hz``. Raises as ``read``; NoNewSampleError after ``timeout_s`` without a sample."""
         from tipforce.host.network.finger_samples import ContactStream
 
-        checked_time("timeout_s", timeout_s)
+        timeout_s = checked_time("timeout_s", timeout_s)
         if not 0.0 < rate_hz <= HIGHEST_RATE_HZ:
             raise InputError(f"rate_hz = {rate_hz!r}: allowed is above 0, up to {HIGHEST_RATE_HZ:g}")
         return ContactStream(self._opened, timeout_s, None if self._passive else 1.0 / rate_hz)

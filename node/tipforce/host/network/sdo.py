@@ -18,6 +18,7 @@ import can
 from canopen_device.core import codes
 from canopen_device.core.sdo_client import SWITCH_BYTES, BlockDownload, BlockUpload, Download, Transfer, Upload
 from canopen_device.types import Value
+from tipforce.arrays import real
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.entries import Entry, gauges_of
 from tipforce.dictionary.table import MIN_GAUGES
@@ -59,9 +60,9 @@ class Request:
 
 def checked_time(name: str, time_s: float) -> float:
     """Return a time limit. Raises InputError naming it where it is not 0 s or more; NaN would wait for ever."""
-    if not time_s >= 0.0:
+    if not real(time_s) >= 0.0:
         raise InputError(f"{name} = {time_s!r}: allowed is 0 s or more")
-    return time_s
+    return min(real(time_s), 0.5 * threading.TIMEOUT_MAX)  # no lock waits for an infinite time
 
 
 class SdoChannel:
