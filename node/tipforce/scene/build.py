@@ -108,7 +108,7 @@ def _finger(scene: schema.Scene, group: schema.Nodes, node_id: int, folder: Path
         if calibration.gauges != gauges:
             differs = f"it is for {calibration.gauges} gauges, the layout has {gauges}"
             raise InputError(f"calibration {group.calibration}: {differs}")
-        if calibration.layout_code not in (CUSTOM_LAYOUT_CODE, layout_code(group.layout)):
+        if len({calibration.layout_code, layout_code(group.layout)} - {CUSTOM_LAYOUT_CODE}) > 1:
             raise InputError(f"calibration {group.calibration}: it is for another layout, the node has {group.layout}")
     elif "calibration" in chosen:
         from tipforce.sensor.structure.strain import FABRICATED

@@ -189,7 +189,7 @@ class Fingertips:
         self._calibration = calibration or beam_calibration(layout, noise_microstrain=noise_microstrain)
         if self._calibration.gauges != len(self._rows):
             raise InputError(f"calibration of {self._calibration.gauges} gauges: the layout has {len(self._rows)}")
-        if self._calibration.layout_code not in (CUSTOM_LAYOUT_CODE, layout_code(layout)):
+        if len({self._calibration.layout_code, layout_code(layout)} - {CUSTOM_LAYOUT_CODE}) > 1:
             raise InputError(f"calibration of another layout: allowed is one of {layout!r}, or without a layout")
         self._stored = stored_calibration(self._calibration)
         self.node_ids = _node_ids(list(sites), node_ids)
