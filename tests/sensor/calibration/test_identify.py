@@ -191,6 +191,18 @@ def test_rows_left_out_that_gather_speak_against_the_model() -> None:
     assert any("at high load" in text for text in found)
 
 
+def test_copies_and_samples_of_one_hang_are_no_independent_rows() -> None:
+    hung = replace(CLEAN, hang_scatter_rad=HALF_DEGREE)
+    again = simulate("I", np.random.default_rng(3), hung, (1.1, 1.1, 1.1, 4.4, 4.4))
+    assert fit_calibration(readings(again), STATED).lack_of_fit == 0.0
+    once = readings(simulated(3, hung))
+    rows = np.arange(77).repeat(3)
+    copies = {name: getattr(once, name)[rows] for name in ("strain", "P_newtons", "phi_rad", "theta_rad")}
+    assert fit_calibration(Readings(**copies), STATED).lack_of_fit > 1e6
+    samples = copies["strain"] + 1e-6 * np.random.default_rng(4).normal(size=(len(rows), 3))
+    assert 2.0 < fit_calibration(Readings(**{**copies, "strain": samples}), STATED).lack_of_fit < 100.0
+
+
 def test_units_and_order_beside_theory() -> None:
     A = strain_matrix(FABRICATED, "I")
     require_size(1.3 * A, A, 4.0, "I")
