@@ -123,7 +123,7 @@ def test_bad_rows_are_told_and_strict_refuses(data: Path, tmp_path: Path, printe
 
 
 def test_a_table_in_doubt_is_refused_by_strict(data: Path, sim: Simulated, tmp_path: Path, printed: Printed) -> None:
-    """Every row twice; as many loads as unknowns; gauges with more noise under load, which is a note."""
+    """Every row twice; loads that leave no residual; offsets with --no-offset. More noise under load is a note."""
     head, *lines = data.read_text().splitlines()
     fit = ["calibrate", "fit", data, "-o", tmp_path / "cal.toml", "--strict"]
     data.write_text("\n".join([head, *np.repeat(lines, 2)]))
@@ -136,6 +136,10 @@ def test_a_table_in_doubt_is_refused_by_strict(data: Path, sim: Simulated, tmp_p
     clean = simulate("I", np.random.default_rng(1), CLEAN)
     write_readings(data, replace(clean, strain=clean.strain * np.random.default_rng(2).normal(1.0, 0.01, (77, 3))))
     assert "times as far as unloaded ones" in printed(0, fit).out
+    write_readings(data, clean)
+    assert "fit without --no-offset" in printed(1, [*fit, "--no-offset"]).err
+    write_readings(data, replace(clean, strain=clean.strain - clean.true_offset_strain))
+    assert "loaded ones" not in printed(0, [*fit, "--no-offset"]).out
 
 
 @pytest.mark.parametrize(

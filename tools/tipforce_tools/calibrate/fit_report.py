@@ -60,8 +60,9 @@ def notes(result: Fitted) -> Iterator[str]:
             "certain than stated (--noise)"
         )
     tares = sum(len(load.rows) for load in fit.loads if not load.P_newtons)
-    uneven = fit.sigma0_loaded / fit.sigma0_unloaded
-    if min(tares, len(data.line) - tares) >= FEW_ROWS and not 1.0 / UNEVEN < uneven < UNEVEN:
+    uneven = fit.sigma0_loaded / (fit.sigma0_unloaded or math.nan)
+    enough = min(tares, len(data.line) - tares) >= FEW_ROWS and model.noise_strain is None
+    if enough and (uneven > UNEVEN or uneven < 1.0 / UNEVEN):
         yield (
             f"loaded rows scatter {uneven:.2g} times as far as unloaded ones: noise grows with the load (hooks, "
             "gauges), or the zero does not return (creep, hysteresis, drift); the intervals are rough"
@@ -94,8 +95,13 @@ def warnings(result: Fitted) -> Iterator[str]:
     yield from rejections(fit, result.readings)
     if not fit.converged:
         yield "the fit has not converged: its numbers are those of the last step"
-    if math.isnan(fit.sigma0_loaded):
-        yield "as many loads as unknowns: nothing checks a load, add others"
+    if math.isnan(fit.sigma0_loaded) and result.model.prior is None:
+        yield "no residual of a load is left: nothing checks a load, add others (or the stated noise is too small)"
+    for load in fit.loads if not result.model.offset else ():
+        u = np.sqrt(np.maximum(load.rms_strain**2 - load.mean_strain**2, 0.0) / max(len(load.rows) - 1, 1))
+        if not load.P_newtons and (np.abs(load.mean_strain) > 5.0 * u + 1e-9).any() and len(load.rows) > 2:
+            means = ", ".join(f"SG{k + 1} {value:+.3g}" for k, value in enumerate(load.mean_strain * UE))
+            yield f"the unloaded rows read {means} microstrain on the mean: they are not tared, fit without --no-offset"
     if fit.lack_of_fit > LARGEST_LACK:
         yield (
             f"rows of one load differ {math.sqrt(fit.lack_of_fit):.2g} times less from each other than "

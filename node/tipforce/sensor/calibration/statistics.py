@@ -56,37 +56,21 @@ def result(
     loads = _by_load(readings, problem.observed, residual, C, solution.leverage)
     sigma0, loaded, unloaded = _sizes(problem, solution, readings.P_newtons > 0.0)
     return Fit(
-        C=C,
-        A=A,
-        offset_strain=rows[:, 3] if q == 4 else np.zeros(n),
+        C=C, A=A, offset_strain=rows[:, 3] if q == 4 else np.zeros(n),
         C_uncertainty=matrix_uncertainty(A, C, Sigma, covariance[:, :3, :, :3]),
-        coverage_factor=t_quantile(0.975, noise_dof),
-        noise_covariance_strain2=Sigma,
+        coverage_factor=t_quantile(0.975, noise_dof), noise_covariance_strain2=Sigma,
         residual_covariance_strain2=_residual_covariance(problem, residual, solution.dof),
-        N=_normal_matrix(problem, solution),
-        parameter_covariance=covariance,
-        sigma0=sigma0,
-        sigma0_loaded=loaded,
-        sigma0_unloaded=unloaded,
-        dof=solution.dof,
-        noise_dof=noise_dof,
-        condition_number=condition_number(A),
-        row_equilibrated_condition_number=row_equilibrated_condition_number(A),
-        residual_strain=residual,
-        distance=np.sqrt(np.maximum(solution.distance, 0.0)),
-        leverage=solution.leverage,
-        used=problem.observed,
-        outliers=tuple(np.flatnonzero(outlier).tolist()),
+        N=_normal_matrix(problem, solution), parameter_covariance=covariance,
+        sigma0=sigma0, sigma0_loaded=loaded, sigma0_unloaded=unloaded, dof=solution.dof, noise_dof=noise_dof,
+        condition_number=condition_number(A), row_equilibrated_condition_number=row_equilibrated_condition_number(A),
+        residual_strain=residual, distance=np.sqrt(np.maximum(solution.distance, 0.0)), leverage=solution.leverage,
+        used=problem.observed, outliers=tuple(np.flatnonzero(outlier).tolist()),
         saturated=tuple((row, gauge) for row, gauge in np.argwhere(saturated).tolist()),
         near_limit=tuple((row, gauge) for row, gauge in np.argwhere(near_limit).tolist()),
-        loads=loads,
-        drift=model.drift,
-        loss=model.loss,
-        groove_scatter=float(np.sqrt(solution.scatter.groove)),
-        hang_scatter=float(np.sqrt(solution.scatter.hang)),
-        hold_out_score=_hold_out_score(problem, solution),
-        lack_of_fit=_lack_of_fit(problem, solution, loads),
-    )
+        loads=loads, drift=model.drift, loss=model.loss,
+        groove_scatter=float(np.sqrt(solution.scatter.groove)), hang_scatter=float(np.sqrt(solution.scatter.hang)),
+        hold_out_score=_hold_out_score(problem, solution), lack_of_fit=_lack_of_fit(problem, solution, loads),
+    )  # fmt: skip
 
 
 def _hold_out_score(problem: Problem, solution: Solution) -> float:
