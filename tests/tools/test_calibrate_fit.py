@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sensor.calibration.made import CLEAN
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration, read_calibration, write_calibration
@@ -119,6 +120,26 @@ def test_bad_rows_are_told_and_strict_refuses(data: Path, tmp_path: Path, printe
     assert not path.exists()
     data.write_text("\n".join((lines[0], lines[1], lines[9])))
     assert "1 bad rows were not used, the first: line 3: SG1 is 'x" in printed(2, fit).err
+
+
+def test_a_table_in_doubt_is_refused_by_strict(data: Path, sim: Simulated, tmp_path: Path, printed: Printed) -> None:
+    """Every row twice; loads that leave no residual; offsets with --no-offset. More noise under load is a note."""
+    head, *lines = data.read_text().splitlines()
+    fit = ["calibrate", "fit", data, "-o", tmp_path / "cal.toml", "--strict"]
+    data.write_text("\n".join([head, *np.repeat(lines, 2)]))
+    assert "intervals are too narrow" in printed(1, [*fit, *LIMIT]).err
+    weights = sim.P_newtons * (np.cumsum(sim.P_newtons == 4.4) <= 3) * (sim.P_newtons == 4.4)
+    few = np.flatnonzero((weights > 0.0) | (sim.P_newtons == 0.0))
+    data.write_text("\n".join([head, *np.array(lines)[few]]))
+    assert "nothing checks a load" in printed(1, [*fit, *LIMIT]).err
+    assert not (tmp_path / "cal.toml").exists()
+    clean = simulate("I", np.random.default_rng(1), CLEAN)
+    write_readings(data, replace(clean, strain=clean.strain * np.random.default_rng(2).normal(1.0, 0.01, (77, 3))))
+    assert "times as far as unloaded ones" in printed(0, fit).out
+    write_readings(data, clean)
+    assert "fit without --no-offset" in printed(1, [*fit, "--no-offset"]).err
+    write_readings(data, replace(clean, strain=clean.strain - clean.true_offset_strain))
+    assert "loaded ones" not in printed(0, [*fit, "--no-offset"]).out
 
 
 @pytest.mark.parametrize(

@@ -206,6 +206,9 @@ def test_text_tells_where_first_order_does_not_hold(printed: Printed) -> None:
     assert lines[-1].startswith("total")
     assert len(lines) == 1 + len(CAUSES)
     assert "first order does not hold for theta at 1 of 1 loads" in captured.err
+    assert "opposite to theta" not in captured.err
+    assert "or --sense pull" in printed(0, "calibrate budget --phi 0 --theta 0").err
+    assert "opposite to theta" not in printed(0, "calibrate budget --phi 90 --theta 0 --sense pull").err
     captured = printed(0, "calibrate budget -q")
     assert captured.err == ""
     assert captured.out.splitlines()[0].split().count("max") == 3

@@ -13,6 +13,7 @@ from tipforce.sensor import FABRICATED, Fit, force_vector, layout, strain_matrix
 from tipforce.sensor.calibration.data import Model, Readings, require_degrees, require_order, require_size
 from tipforce.sensor.calibration.distributions import f_quantile, t_quantile, variance_factors
 from tipforce.sensor.calibration.fit import best_fit, fit_calibration, rejections
+from tipforce.sensor.calibration.regressors import MOST_KNOTS, offset_basis
 from tipforce.sensor.calibration.simulation import paper_grooves, simulate
 from tipforce.sensor.calibration.statistics import overload_newtons, redundancy_limit
 from tipforce.sensor.contact.scalar_redundancy import chi_square_threshold
@@ -189,6 +190,28 @@ def test_rows_left_out_that_gather_speak_against_the_model() -> None:
     found = rejections(fit_calibration(readings(sim, strain=wrong)), readings(sim, strain=wrong))
     assert any("left out as outliers, over 5%" in text for text in found)
     assert any("at high load" in text for text in found)
+
+
+def test_copies_and_samples_of_one_hang_are_no_independent_rows() -> None:
+    hung = replace(CLEAN, hang_scatter_rad=HALF_DEGREE)
+    again = simulate("I", np.random.default_rng(3), hung, (1.1, 1.1, 1.1, 4.4, 4.4))
+    assert fit_calibration(readings(again), STATED).lack_of_fit == 0.0
+    once = readings(simulated(3, hung))
+    rows = np.arange(77).repeat(3)
+    copies = {name: getattr(once, name)[rows] for name in ("strain", "P_newtons", "phi_rad", "theta_rad")}
+    assert fit_calibration(Readings(**copies), STATED).lack_of_fit > 1e6
+    samples = copies["strain"] + 1e-6 * np.random.default_rng(4).normal(size=(len(rows), 3))
+    assert 2.0 < fit_calibration(Readings(**{**copies, "strain": samples}), STATED).lack_of_fit < 100.0
+
+
+def test_more_tares_than_a_drift_has_knots() -> None:
+    """A fit grows with their cube: 1000 would need hours."""
+    t, unloaded = np.arange(2001.0), np.arange(2001) % 2 == 0
+    basis = offset_basis("tare", True, t, unloaded, np.ones(2001, dtype=np.bool_))
+    assert basis.columns.shape == (2001, MOST_KNOTS)
+    drift = np.interp(t, (0.0, 700.0, 2000.0), (0.0, 5.0, -3.0))
+    found = basis.columns @ np.linalg.lstsq(basis.columns, drift, rcond=None)[0]
+    np.testing.assert_allclose(found, drift, atol=0.05)
 
 
 def test_units_and_order_beside_theory() -> None:

@@ -82,6 +82,11 @@ def run(args: argparse.Namespace) -> int:
     sensor = _sensor(args, calibration)
     if args.phi is not None:
         loads = Loads(*(np.array([value]) for value in (args.load, np.radians(args.phi), np.radians(args.theta))))
+        if np.cos(np.radians(args.phi - args.theta)) * (1.0 if sensor.pull else -1.0) < -1e-9:
+            sense, other = ("pull", "push") if sensor.pull else ("push", "pull")
+            common.note(
+                f"a {sense} along phi meets the tip opposite to theta: these are its values; or --sense {other}"
+            )
     else:
         pad = (0.0, 180.0) if calibration is None else (calibration.theta_min_deg, calibration.theta_max_deg)
         loads = pad_loads(args.load, *pad, pull=sensor.pull)

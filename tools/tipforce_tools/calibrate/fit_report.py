@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from tipforce.host.configuration.fitting import Fitted
 
 UE = 1e6
+FEW_ROWS, UNEVEN = 12, 1.6
+"""Rows that show a scatter; the ratio of two that chance does not give."""
+LARGEST_LACK = 2.0
+"""Fit.lack_of_fit up to which intervals are narrow by less than their coverage shows."""
 _FIGURES = (
     "dof", "coverage_factor", "sigma0", "sigma0_loaded", "sigma0_unloaded", "condition_number",
     "row_equilibrated_condition_number", "drift", "loss",
@@ -55,6 +59,14 @@ def notes(result: Fitted) -> Iterator[str]:
             f"loaded rows scatter {fit.sigma0_loaded:.2g} times what the model expects: loads or gauges are less "
             "certain than stated (--noise)"
         )
+    tares = sum(len(load.rows) for load in fit.loads if not load.P_newtons)
+    uneven = fit.sigma0_loaded / (fit.sigma0_unloaded or math.nan)
+    enough = min(tares, len(data.line) - tares) >= FEW_ROWS and model.noise_strain is None
+    if enough and (uneven > UNEVEN or uneven < 1.0 / UNEVEN):
+        yield (
+            f"loaded rows scatter {uneven:.2g} times as far as unloaded ones: noise grows with the load (hooks, "
+            "gauges), or the zero does not return (creep, hysteresis, drift); the intervals are rough"
+        )
     stray = max(fit.groove_scatter, fit.hang_scatter)
     if stray > 2.0:
         yield f"load directions stray {stray:.1f} times as far as --angle-scatter says"
@@ -83,6 +95,19 @@ def warnings(result: Fitted) -> Iterator[str]:
     yield from rejections(fit, result.readings)
     if not fit.converged:
         yield "the fit has not converged: its numbers are those of the last step"
+    if math.isnan(fit.sigma0_loaded) and result.model.prior is None:
+        yield "no residual of a load is left: nothing checks a load, add others (or the stated noise is too small)"
+    for load in fit.loads if not result.model.offset else ():
+        u = np.sqrt(np.maximum(load.rms_strain**2 - load.mean_strain**2, 0.0) / max(len(load.rows) - 1, 1))
+        if not load.P_newtons and (np.abs(load.mean_strain) > 5.0 * u + 1e-9).any() and len(load.rows) > 2:
+            means = ", ".join(f"SG{k + 1} {value:+.3g}" for k, value in enumerate(load.mean_strain * UE))
+            yield f"the unloaded rows read {means} microstrain on the mean: they are not tared, fit without --no-offset"
+    if fit.lack_of_fit > LARGEST_LACK:
+        yield (
+            f"rows of one load differ {math.sqrt(fit.lack_of_fit):.2g} times less from each other than "
+            "loads from the fit: copies or samples of one hang (give their mean, in weight their number), or weights "
+            "or angles are wrong; intervals are too narrow"
+        )
     straight = fit.nonlinearity
     if straight is not None and straight.significant:
         terms = _per_gauge(0.1 * straight.per_strain, 0.1 * straight.half_width)

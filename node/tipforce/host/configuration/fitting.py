@@ -65,15 +65,11 @@ class FitRequest:
         prior = beam_prior(*self.structure, self.prior_scatter) if self.prior and self.structure else None
         scatter = float(np.radians(self.angle_scatter))
         return Model(
-            offset=not self.no_offset,
-            drift=self.drift or "none",
-            loss=self.loss,
-            phi_scatter_rad=scatter,
-            theta_scatter_rad=scatter,
+            offset=not self.no_offset, drift=self.drift or "none", loss=self.loss,
+            phi_scatter_rad=scatter, theta_scatter_rad=scatter, prior=prior,
             noise_strain=None if self.noise is None else self.noise * 1e-6,
             saturation_strain=None if self.saturation is None else self.saturation * 1e-6,
-            prior=prior,
-        )
+        )  # fmt: skip
 
     def check_gauges(self, gauges: int, whose: str) -> None:
         """Raise InputError where the layout has another number of gauges."""

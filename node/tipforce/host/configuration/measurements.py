@@ -174,18 +174,11 @@ def read_measurements(path: str | Path, *, loads: bool) -> Measurements:
     gauges = [column for name, column in values_of.items() if name.startswith("SG")]
     angles = [np.radians(values_of[name]) if name in values_of else None for name in LOAD_COLUMNS[1:]]
     return Measurements(
-        line=np.array(line, dtype=np.int64)[good],
-        strain=np.stack(gauges, axis=-1) * 1e-6,
-        P_newtons=values_of.get("P_N"),
-        phi_rad=angles[0],
-        theta_rad=angles[1],
-        t_s=values_of.get("t_s"),
-        temperature_degC=values_of.get("temperature_degC"),
-        weight=values_of.get("weight"),
-        mode=None if mode is None else np.array(modes, dtype=np.int8)[good],
-        bad=tuple(bad),
-        ignored_columns=ignored,
-    )
+        line=np.array(line, dtype=np.int64)[good], strain=np.stack(gauges, axis=-1) * 1e-6,
+        P_newtons=values_of.get("P_N"), phi_rad=angles[0], theta_rad=angles[1],
+        t_s=values_of.get("t_s"), temperature_degC=values_of.get("temperature_degC"), weight=values_of.get("weight"),
+        mode=None if mode is None else np.array(modes, dtype=np.int8)[good], bad=tuple(bad), ignored_columns=ignored,
+    )  # fmt: skip
 
 
 def _lines(path: str | Path) -> list[str]:

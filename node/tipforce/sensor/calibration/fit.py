@@ -165,19 +165,13 @@ def _problem(readings: Readings, model: Model, gain_per_K: float) -> Problem:
         mean = np.asarray(model.prior.A, dtype=np.float64) * newtons / strain
         information = 1.0 / (model.prior.relative_scatter**2 * np.mean(np.square(mean), axis=1))
     return Problem(
-        V=readings.strain / strain,
-        g=force_vector(*load) / newtons,
-        basis=OffsetBasis.of(np.zeros((m, 0))),
+        V=readings.strain / strain, g=force_vector(*load) / newtons, basis=OffsetBasis.of(np.zeros((m, 0))),
         D=regressors.direction_scatter(*load, model.phi_scatter_rad, model.theta_scatter_rad) / newtons,
         groove=regressors.grooves(readings.phi_rad, readings.theta_rad),
         weight=np.ones(m) if readings.weight is None else readings.weight,
-        observed=np.ones((m, n), dtype=np.bool_),
-        Sigma=Sigma,
-        prior_mean=mean,
-        prior_information=information,
-        strain=strain,
-        newtons=newtons,
-    )
+        observed=np.ones((m, n), dtype=np.bool_), Sigma=Sigma, prior_mean=mean, prior_information=information,
+        strain=strain, newtons=newtons,
+    )  # fmt: skip
 
 
 FALSE_ALARM = 0.01

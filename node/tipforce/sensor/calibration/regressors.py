@@ -12,6 +12,8 @@ from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.errors import InputError
 
 DRIFTS = ("none", "tare", "linear")
+MOST_KNOTS = 100
+"""Of a drift through tares; of more tares some lie between them."""
 
 
 class OffsetBasis(NamedTuple):
@@ -103,6 +105,8 @@ def offset_basis(
             f"drift 'tare' needs unloaded readings at two times at least, before and after loads; there are "
             f"{knots.size}"
         )
+    if knots.size > MOST_KNOTS:  # the time of a fit grows with their cube
+        knots = knots[np.linspace(0, knots.size - 1, MOST_KNOTS).astype(np.int64)]
     # A constant, a line from the first knot to the last, and a kink at each knot between; constant outside. The kinks
     # are scaled so that equal coefficients mean an equally restless drift, however the knots are spaced.
     span = knots[-1] - knots[0]

@@ -118,6 +118,9 @@ class Fit:
     """The same of the angle errors that are new in every row."""
     hold_out_score: float
     """Sum over rows of the log likelihood by the fit without each, outliers at the border; the larger is the better."""
+    lack_of_fit: float = 0.0
+    """Variance between loads that rows repeat over the variance among the rows of each, by their residuals; 0 where it
+    is 1 within chance."""
     converged: bool = True
     """False: the steps ended before the numbers settled."""
     nonlinearity: Nonlinearity | None = None

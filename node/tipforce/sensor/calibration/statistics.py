@@ -53,38 +53,24 @@ def result(
     C = weighted_inverse(A, Sigma)
     residual = (problem.V - problem.g @ solution.coefficients.T) * problem.strain  # the groove's angle left in
     noise_dof = solution.dof if model.noise_strain is None else float("inf")
+    loads = _by_load(readings, problem.observed, residual, C, solution.leverage)
     sigma0, loaded, unloaded = _sizes(problem, solution, readings.P_newtons > 0.0)
     return Fit(
-        C=C,
-        A=A,
-        offset_strain=rows[:, 3] if q == 4 else np.zeros(n),
+        C=C, A=A, offset_strain=rows[:, 3] if q == 4 else np.zeros(n),
         C_uncertainty=matrix_uncertainty(A, C, Sigma, covariance[:, :3, :, :3]),
-        coverage_factor=t_quantile(0.975, noise_dof),
-        noise_covariance_strain2=Sigma,
+        coverage_factor=t_quantile(0.975, noise_dof), noise_covariance_strain2=Sigma,
         residual_covariance_strain2=_residual_covariance(problem, residual, solution.dof),
-        N=_normal_matrix(problem, solution),
-        parameter_covariance=covariance,
-        sigma0=sigma0,
-        sigma0_loaded=loaded,
-        sigma0_unloaded=unloaded,
-        dof=solution.dof,
-        noise_dof=noise_dof,
-        condition_number=condition_number(A),
-        row_equilibrated_condition_number=row_equilibrated_condition_number(A),
-        residual_strain=residual,
-        distance=np.sqrt(np.maximum(solution.distance, 0.0)),
-        leverage=solution.leverage,
-        used=problem.observed,
-        outliers=tuple(np.flatnonzero(outlier).tolist()),
+        N=_normal_matrix(problem, solution), parameter_covariance=covariance,
+        sigma0=sigma0, sigma0_loaded=loaded, sigma0_unloaded=unloaded, dof=solution.dof, noise_dof=noise_dof,
+        condition_number=condition_number(A), row_equilibrated_condition_number=row_equilibrated_condition_number(A),
+        residual_strain=residual, distance=np.sqrt(np.maximum(solution.distance, 0.0)), leverage=solution.leverage,
+        used=problem.observed, outliers=tuple(np.flatnonzero(outlier).tolist()),
         saturated=tuple((row, gauge) for row, gauge in np.argwhere(saturated).tolist()),
         near_limit=tuple((row, gauge) for row, gauge in np.argwhere(near_limit).tolist()),
-        loads=_by_load(readings, problem.observed, residual, C, solution.leverage),
-        drift=model.drift,
-        loss=model.loss,
-        groove_scatter=float(np.sqrt(solution.scatter.groove)),
-        hang_scatter=float(np.sqrt(solution.scatter.hang)),
-        hold_out_score=_hold_out_score(problem, solution),
-    )
+        loads=loads, drift=model.drift, loss=model.loss,
+        groove_scatter=float(np.sqrt(solution.scatter.groove)), hang_scatter=float(np.sqrt(solution.scatter.hang)),
+        hold_out_score=_hold_out_score(problem, solution), lack_of_fit=_lack_of_fit(problem, solution, loads),
+    )  # fmt: skip
 
 
 def _hold_out_score(problem: Problem, solution: Solution) -> float:
@@ -109,6 +95,24 @@ def _sizes(problem: Problem, solution: Solution, loaded: BoolArray) -> tuple[flo
 
     used = counts > 0
     return size(used), size(used & loaded), size(used & ~loaded)
+
+
+LACK_CHANCE = 0.001
+"""That rows which repeat loads independently are said not to."""
+
+
+def _lack_of_fit(problem: Problem, solution: Solution, loads: tuple[LoadResidual, ...]) -> float:
+    """See Fit.lack_of_fit. The fit took degrees of freedom from the means of loads only: the test is cautious."""
+    n, complete = problem.V.shape[1], np.asarray(problem.observed.all(axis=1))
+    e = np.linalg.solve(np.linalg.cholesky(solution.R), solution.residual[..., np.newaxis])[..., 0]
+    loaded = (e[[row for row in load.rows if complete[row]]] for load in loads if load.P_newtons > 0.0)
+    groups = [(group, group.mean(axis=0)) for group in loaded if len(group) > 1]
+    between, within = n * len(groups), n * sum(len(group) - 1 for group, _ in groups)
+    if not groups:
+        return 0.0
+    apart = sum(len(group) * float(np.square(mean).sum()) for group, mean in groups) / between
+    ratio = apart / max(sum(float(np.square(group - mean).sum()) for group, mean in groups) / within, 1e-12)
+    return ratio if ratio > f_quantile(1.0 - LACK_CHANCE, between, within) else 0.0
 
 
 def _residual_covariance(problem: Problem, residual: FloatArray, dof: float) -> FloatArray:
