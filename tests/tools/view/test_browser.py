@@ -1,9 +1,11 @@
 """The page in a real browser, headless Chromium: live, pause, scrub, replay, faults, tare, keyboard, export."""
 
 import contextlib
+import re
 import sys
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -123,19 +125,42 @@ def test_a_server_that_falls_silent_is_not_live(shown: Shown) -> None:
     shown.word(1, "live")
 
 
-def test_a_page_connects_again(browser: Browser) -> None:
+@pytest.mark.parametrize("paused", [False, True])
+def test_a_page_connects_again(browser: Browser, paused: bool) -> None:
     """To the same server, and to another one at the same address, whose hand has other fingers."""
     with serving(MovingSource(3)) as server:
         port = server.guard.port
         page = browser.new_page()
         page.goto(server.url)
         expect(page.locator("#mode")).to_have_text("live")
-    expect(page.locator("#mode")).to_have_text("not live")
+        if paused:
+            page.click("#play")
+    expect(page.locator("#mode")).to_have_text("paused" if paused else "not live")
     with serving(MovingSource(2), port=port):
-        expect(page.locator("#mode")).to_have_text("live")
         expect(page.locator(".finger")).to_have_count(2)
+        if paused:
+            expect(page.locator("#mode")).to_have_text("paused")
+            page.click("#live")
+        expect(page.locator("#mode")).to_have_text("live")
         expect(page.locator("#alarm")).to_be_hidden()
         page.close()
+
+
+def test_a_finger_that_is_found_while_the_page_is_paused_gets_a_card(shown: Shown) -> None:
+    """The values of the others stay on their own cards."""
+    model, page = shown.source.model, shown.page
+    page.click("#play")
+    shown.mode("paused")
+    model.fingers = tuple(replace(finger, node_id=finger.node_id + 1) for finger in model.fingers)
+    with model._lock:  # no row of the old fingers comes after
+        shown.source.pump = lambda: None  # type: ignore[method-assign]
+        model.set_fingers((Finger(1), *model.fingers))
+    page.focus("#scrub")
+    page.keyboard.press("Home")
+    expect(page.locator(".finger")).to_have_count(4)
+    shown.word(1, "no response")
+    expect(page.locator('.finger[data-node="2"] .n').first).to_have_text(re.compile(r"^(0\.9|1\.0)"))
+    shown.mode("paused")
 
 
 def test_more_than_six_tabs_are_live(browser: Browser) -> None:

@@ -113,8 +113,8 @@ class Model:
         self.fingers: tuple[Finger, ...] = ()
         """The fingers in the order of the columns."""
         self.counters = Counters()
-        self.generation = 0
-        """Number of changes of the fingers."""
+        self.generation = time.time_ns() // 1_000_000
+        """Grows by 1 with each change of the fingers; another server at the same address has another one."""
         self.frames: tuple[FrameArray, tuple[str, ...]] | None = None
         """Those of a log and its interfaces, to be shown as candump does; None: too many, or live."""
         self.nmt: list[str] = []
