@@ -380,6 +380,14 @@ def test_gauges_and_forces_are_charted_with_fixed_scales(shown: Shown) -> None:
         assert len(row) == 3 * 10  # three fingers, each with three quantities
         if what == "gauges":
             assert row[:3] == [100.0, 100.0, 100.0]
+    # Directions on both sides of 180 degrees are drawn there: of 0 to 360 degrees.
+    script = """import("/bins.js").then(({ Bins }) => {
+        const bins = new Bins(20, 3), seen = [];
+        bins.add({ i: [0, 1], v: [[1, 179, 90, 1, 181, 90, 0, 0, 0, 0], [1, -179, 90, 1, -178, 90, 0, 0, 0, 0]] });
+        bins.values({ finger: 0, quantity: 1, turn: 360 }, 0, 40, (t, low, high) => seen.push(low, high));
+        return seen;
+    })"""
+    assert page.evaluate(script) == [179, 181, 181, 182]
     shown.source.P[0] = 30.0
     expect(page.locator(".finger .n").first).to_contain_text("30.0")
     expect(page.locator("#newtons")).to_have_value("5")

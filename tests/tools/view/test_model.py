@@ -83,6 +83,19 @@ def test_memory_is_bounded(count: int) -> None:
     assert 2 * holding(count, 0).capacity * row_bytes(count, 3) <= MAX_BYTES
 
 
+@pytest.mark.parametrize(
+    ("phi", "low", "high"),
+    [((179.0, -179.0, np.nan), 179.0, 181.0), ((-90.0, 89.0, 0.0), -90.0, 89.0), ((-179.0, -178.0), -179.0, -178.0)],
+)
+def test_an_envelope_of_angles_goes_the_shorter_way_around(phi: tuple[float, ...], low: float, high: float) -> None:
+    model, rows = holding(), block(np.arange(len(phi)), np.full((len(phi), 1), 400.0))
+    rows.contact[:, 0, 1] = phi
+    model.add(rows)
+    first = START_NS // (10 * MS)
+    (bins,) = model.envelope(first, first, 10 * MS)[1]
+    assert bins[0, [0, 3, 1, 4]].tolist() == [400.0, 400.0, low, high]
+
+
 def test_envelopes_of_gauges_and_forces() -> None:
     model = holding(2, 10, gauges=4)
     rows = block([0, 1], [[1.0, 2.0], [3.0, np.nan]], gauges=4)

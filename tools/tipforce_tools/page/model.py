@@ -231,12 +231,13 @@ class Model:
     ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
         """Return bins first to last (inclusive) of ``width_ns`` that are not empty: the number (b,) of each, whose time
         is number x width; and (b, k, 3 q + 1): minimum, maximum and largest standard uncertainty of q quantities, NaN
-        where none was known, and the number of rows in which the first was unknown or the finger missing.
+        where none was known, and the number of rows in which the first was unknown or the finger missing. Angles around
+        180 degrees are within 0 to 360.
 
         The quantities are P, phi, theta; or without uncertainties F1, F2, F3, or the strain of each gauge."""
         with self._lock:
-            ends = np.searchsorted(self.rows.t_ns, (first_bin * width_ns, (last_bin + 1) * width_ns)).tolist()
-            rows = self.rows.part(slice(*ends))
+            span = np.searchsorted(self.rows.t_ns, (first_bin * width_ns, (last_bin + 1) * width_ns)).tolist()
+            rows = self.rows.part(slice(*span))
             number = rows.t_ns // width_ns
             starts = np.flatnonzero(np.diff(number, prepend=number[:1] - 1))
             values = rows.gauges if what == "gauges" else forces(rows.contact) if what == "forces" else rows.contact
@@ -244,8 +245,14 @@ class Model:
                 return number, np.zeros((0, values.shape[1], 3 * values.shape[2] + 1))
             u = rows.u if what == "contact" else np.full_like(values, np.nan)
             unknown = np.isnan(values[..., 0]) | (rows.status & NO_ANSWER != 0)
+            ends = [extreme.reduceat(values, starts) for extreme in (np.fmin, np.fmax)]
+            if what == "contact":  # angles the shorter way around: 179 and -179 degrees are 2 degrees apart
+                turned = [extreme.reduceat(values[..., 1:] % 360.0, starts) for extreme in (np.fmin, np.fmax)]
+                shorter = turned[1] - turned[0] < (ends[1] - ends[0])[..., 1:]
+                for of_180, of_360 in zip(ends, turned, strict=True):
+                    np.copyto(of_180[..., 1:], of_360, where=shorter)
             reduced = (
-                np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts), np.fmax.reduceat(u, starts),
+                *ends, np.fmax.reduceat(u, starts),
                 np.add.reduceat(unknown.astype(np.int64), starts)[..., np.newaxis],
             )  # fmt: skip
             return number[starts], np.concatenate(reduced, axis=-1, dtype=np.float64)

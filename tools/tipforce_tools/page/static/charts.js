@@ -12,13 +12,16 @@ export function drawChart(context, options, x, y, width, height) {
   const { bins, curves, from, to, axis } = options;
   const bottom = y + height - (axis ? 24 : 8), top = y + 16, left = x + LEFT, right = x + width - RIGHT;
   // A series has an object for each bin: only for the main curves.
-  const drawn = curves.map((curve) => ({ ...curve, series: curve.main ? bins.series(curve, from, to) : null, ...limits(bins, curve, from, to) }));
+  const drawn = shortest([0, ...(options.degrees ? [360] : [])].map((turn) => curves.map((each) => {
+    const curve = { ...each, turn };
+    return { ...curve, series: curve.main ? bins.series(curve, from, to) : null, ...limits(bins, curve, from, to) };
+  })));
   const [least, most, step] = range(options, drawn);
   const px = (t) => left + ((t - from) / (to - from)) * (right - left);
   const py = (value) => bottom - ((value - least) / (most - least)) * (bottom - top);
   context.save();
   context.font = `11px ${font.family}`;
-  grid(context, { left, right, least, most, step, py, digits: step < 0.1 ? 2 : step < 1 ? 1 : 0 });
+  grid(context, { left, right, least, most, step, py, digits: step < 0.1 ? 2 : step < 1 ? 1 : 0, degrees: options.degrees });
   if (axis) timeAxis(context, { left, right, from, to, px, bottom });
   context.beginPath();
   context.rect(left, top - 6, right - left, bottom - top + 12);
@@ -47,6 +50,12 @@ export function drawChart(context, options, x, y, width, height) {
   context.restore();
   names(context, drawn, py, right, top, bottom, most, least);
   heading(context, options, drawn, joint, left, y + 10, x + width - 2, most, least);
+}
+
+// Of the same curves from -180 to 180 and from 0 to 360 degrees, those that span less: 179 and -179 are 2 degrees apart.
+function shortest(ways) {
+  const span = (drawn) => Math.max(...drawn.map(({ highest }) => highest)) - Math.min(...drawn.map(({ lowest }) => lowest));
+  return ways.reduce((best, way) => (span(way) < span(best) ? way : best));
 }
 
 // The extremes of a curve, and its last value.
@@ -118,7 +127,7 @@ function heading(context, options, drawn, joint, left, baseline, right, most, le
   context.font = `12px ${font.family}`;
   const words = [[clock(options.pointer, 2), colour.soft]];
   const order = [...drawn.filter((curve) => curve.main), ...drawn.filter((curve) => !curve.main)];
-  for (const curve of order) words.push([`${curve.name} ${reading(options.bins.nearest(curve, options.pointer, joint), options.digits)}`, curve.colour]);
+  for (const curve of order) words.push([`${curve.name} ${reading(options.bins.nearest(curve, options.pointer, joint), options)}`, curve.colour]);
   for (const [text, style] of words) {
     const width = context.measureText(text).width;
     if (at + width > right) return;
@@ -128,10 +137,10 @@ function heading(context, options, drawn, joint, left, baseline, right, most, le
   }
 }
 
-function reading(bin, digits) {
+function reading(bin, { digits, degrees }) {
   if (!bin) return "unknown";
   const spread = bin.u === null ? "" : ` \u00b1 ${number(K * bin.u, digits)}`;
-  const low = number(bin.low, digits), high = number(bin.high, digits);
+  const [low, high] = [bin.low, bin.high].map((value) => number(degrees ? within180(value) : value, digits));
   return (low === high ? low : `${low} to ${high}`) + spread;
 }
 
@@ -149,12 +158,15 @@ function range({ range: fixed, least: span, degrees }, drawn) {
   }
   if (!Number.isFinite(least)) [least, most] = [0, 180];
   const step = degrees ? ANGLES.find((angle) => angle >= Math.max(most - least, span) / 4) ?? 90 : nice(Math.max(most - least, span) / 4);
-  [least, most] = [Math.max(least, -180), Math.min(most, 180)];
+  const turned = drawn[0]?.turn / 2 || 0;
+  [least, most] = [Math.max(least, turned - 180), Math.min(most, turned + 180)];
   const bottom = Math.floor(least / step + 1e-9) * step;
   return [bottom, Math.max(Math.ceil(most / step - 1e-9) * step, bottom + step), step];
 }
 
-function grid(context, { left, right, least, most, step, py, digits }) {
+const within180 = (degrees) => (degrees > 180 ? degrees - 360 : degrees);
+
+function grid(context, { left, right, least, most, step, py, digits, degrees }) {
   context.strokeStyle = colour.line;
   context.fillStyle = colour.soft;
   context.lineWidth = 1;
@@ -166,7 +178,7 @@ function grid(context, { left, right, least, most, step, py, digits }) {
     context.moveTo(left, at);
     context.lineTo(right, at);
     context.stroke();
-    context.fillText(number(value, digits), left - 6, at);
+    context.fillText(number(degrees ? within180(value) : value, digits), left - 6, at);
   }
 }
 
