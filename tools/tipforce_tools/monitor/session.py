@@ -18,7 +18,7 @@ from tipforce.host.live.targets import ANY, STDIN, split_targets
 from tipforce.host.logs.notes import no_frame, no_sample
 from tipforce.watching.bus_monitor import QUANTITIES, BusView, Monitor, NodeView, Reading
 from tipforce.watching.frame_sources import BusSource, FrameSource, LogSource, PipeSource
-from tipforce_tools.cli import common, log_flags
+from tipforce_tools.cli import bus_flags, common, log_flags
 from tipforce_tools.cli.common import shown_id
 from tipforce_tools.cli.listening import Hints, StopSignals, check_sync, counted, open_targets
 from tipforce_tools.cli.main import INTERRUPTED
@@ -48,7 +48,7 @@ def monitor(args: Namespace) -> int:
         stop = opened.enter_context(StopSignals())
         hints = Hints(lambda _text: None)
         source, log = _source(args, log_name, targets, interval_s, opened, hints)
-        bitrate = getattr(args, "bitrate", BITRATE)
+        bitrate = bus_flags.bus_options(args).get("bitrate", BITRATE)
         live = None
         if screen:
             from rich.live import Live
