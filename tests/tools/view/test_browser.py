@@ -74,9 +74,15 @@ def test_live_pause_scrub_and_replay(shown: Shown) -> None:
     shown.word(1, "live")
     shown.source.P[0] = 3.0
     expect(page.locator(".finger .n").first).to_contain_text("3.0")
+    model = shown.source.model
+    model.add_event(model.now_ns(), 1, "heartbeat_back", "heartbeat received, operational")
+    model.add_event(model.now_ns(), 2, "duplicate", "two nodes respond as node 2")
+    expect(page.locator("#events li[data-bad]")).to_have_count(1)
     page.click("#play")
     shown.mode("paused")
     shown.word(1, "recorded")
+    expect(page.locator(".finger .words").nth(0)).to_contain_text("node operational")
+    expect(page.locator(".finger .words").nth(1)).to_contain_text("node id is that of two nodes")
     still = shown.force(1)
     shown.source.P[0] = 4.0
     page.wait_for_timeout(400)

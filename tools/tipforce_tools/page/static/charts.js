@@ -274,4 +274,4 @@ function marks(context, { events, node, from, to }, px, top, bottom) {
   context.setLineDash([]);
 }
 
-export const isBad = (event) => ["emcy", "heartbeat_lost", "bus_down", "failed"].includes(event.kind);
+export const isBad = (event) => ["emcy", "heartbeat_lost", "bus_down", "failed", "duplicate"].includes(event.kind);

@@ -346,9 +346,10 @@ function nmtOf(node, until) {
     const event = page.events[n];
     if (event.node !== node || event.t > until) continue;
     if (event.kind === "state") return event.text;
+    if (event.kind === "duplicate") return "id is that of two nodes";
     if (event.kind === "boot_up") return "booted";
     if (event.kind === "heartbeat_lost") return "heartbeat lost";
-    if (event.kind === "heartbeat_back") return event.text.replace("heard, ", "");
+    if (event.kind === "heartbeat_back") return event.text.replace("heartbeat received, ", "");
   }
   return "";
 }
@@ -360,7 +361,7 @@ function showEvents() {
     const who = document.createElement("b");
     time.textContent = clock(event.t);
     who.textContent = label(event.node);
-    text.append(who, ` ${event.kind.replace("_", " ")}${event.text ? `: ${event.text}` : ""}`);
+    text.append(who, ` ${event.kind.replaceAll("_", " ")}${event.text ? `: ${event.text}` : ""}`);
     if (isBad(event)) item.dataset.bad = "";
     item.append(time, text);
     return item;
@@ -375,7 +376,6 @@ function speak(events) {
 function choose(n) {
   page.chosen = n;
   page.cards.forEach((card, k) => card.choose(k === n));
-  const label = page.setup.fingers[n]?.label ?? "";
   panel.label();
   page.dirty = true;
 }

@@ -305,7 +305,6 @@ function arrow(view, tail, head) {
 
 // The bar of strain colours.
 export function drawLegend(context, scale, width, height) {
-  context.clearRect(0, 0, width, height);
   context.font = `11px ${font.family}`;
   context.textBaseline = "middle";
   const middle = height / 2, left = 46, bar = 120;
