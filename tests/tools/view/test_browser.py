@@ -14,7 +14,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.samples.reasons import NO_ANSWER
-from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT, FRONT_END_FAULT
+from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT, FRONT_END_FAULT, OUTSIDE_PAD
 from tipforce.shipped_files import file_or_shipped
 from tipforce.watching.feeds import Finger, finger_maker
 from tipforce_tools.page.server import ViewServer
@@ -293,8 +293,16 @@ def test_a_scene_loops_or_ends_on_its_best_moment(browser: Browser, loops: bool)
 def test_exports(shown: Shown, tmp_path: Path) -> None:
     page = shown.page
     expect(page.locator(".tare")).to_have_count(0)  # it is read-only
+    shown.source.status[1] = GOOD | OUTSIDE_PAD
+    expect(page.locator(".finger .flag")).to_have_text("theta outside the pad")
+    page.evaluate("""() => {
+        const draw = CanvasRenderingContext2D.prototype.fillText;
+        window.texts = [];
+        CanvasRenderingContext2D.prototype.fillText = function (...all) { texts.push(all[0]); draw.apply(this, all); };
+    }""")
     with page.expect_download() as picture:
         page.click("#png")
+    assert "live, push, theta outside the pad" in page.evaluate("texts")
     path = tmp_path / "view.png"
     picture.value.save_as(path)
     content = path.read_bytes()

@@ -14,6 +14,7 @@ import numpy as np
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
+from canopen_device.visible_text import visible
 from tipforce.errors import InputError, RefusedError, TipforceError
 from tipforce.samples.reasons import NO_ANSWER
 from tipforce.sensor.structure.layouts import GAUGE_LENGTH_M
@@ -130,7 +131,7 @@ def drawing(finger: Finger, gauges: int) -> dict[str, Any]:
     ``faces``: microstrain per newton of F1, F2, F3 at both ends of each face of each beam, linear between."""
     geometry = finger.geometry
     return {
-        "node_id": finger.node_id, "label": finger.label, "layout": finger.layout,
+        "node_id": finger.node_id, "label": visible(finger.label), "layout": finger.layout,
         "calibrated_here": finger.calibration is not None,
         "a": geometry.a_m * MM, "d": geometry.d_m * MM, "r": geometry.r_m * MM,
         "h1": geometry.h1_m * MM, "h2": geometry.h2_m * MM,
