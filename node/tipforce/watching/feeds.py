@@ -131,11 +131,11 @@ class Watcher:
             return [], events
         faults = np.stack([self._faults.at(finger.node_id, rows.sync_ns)[0] for finger in self.fingers], axis=-1)
         calibrations = [finger.calibration for finger in self.fingers]
-        u_of_rows = np.full(rows.counter.shape, np.nan) if self._health_u else None
-        if u_of_rows is not None:
-            for k, finger in enumerate(self.fingers):
-                t_ns, u_P = self._health_u.get(finger.node_id, (0, np.nan))
-                u_of_rows[:, k] = np.where(np.abs(rows.sync_ns - t_ns) < HEALTH_YOUNG_NS, u_P, np.nan)
+        u_of_rows = None
+        if self._health_u:
+            sent = [self._health_u.get(finger.node_id, (0, np.nan)) for finger in self.fingers]
+            young = [np.where(np.abs(rows.sync_ns - t_ns) < HEALTH_YOUNG_NS, u_P, np.nan) for t_ns, u_P in sent]
+            u_of_rows = np.stack(young, axis=-1)
         return [rows.block(calibrations, self._gauges, u_of_rows, faults)], events
 
     def state(self, node_id: int) -> str:

@@ -37,8 +37,7 @@ export class Bins {
     }
   }
 
-  // Calls with (time, low, high, row) for each bin of a curve, as `each`; low is null where unknown. `turn`: added to what
-  // is below 0.
+  // Calls with (time, low, high, row) for each bin of a curve; low is null where unknown. Values below 0 get `turn` more.
   values({ finger, quantity, turn = 0 }, fromMs, toMs, call) {
     const at = finger * this.fields + quantity;
     this.each(fromMs, toMs, (t, row) => {

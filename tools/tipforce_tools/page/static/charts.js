@@ -12,10 +12,11 @@ export function drawChart(context, options, x, y, width, height) {
   const { bins, curves, from, to, axis } = options;
   const bottom = y + height - (axis ? 24 : 8), top = y + 16, left = x + LEFT, right = x + width - RIGHT;
   // A series has an object for each bin: only for the main curves.
-  const drawn = shortest([0, ...(options.degrees ? [360] : [])].map((turn) => curves.map((each) => {
-    const curve = { ...each, turn };
-    return { ...curve, series: curve.main ? bins.series(curve, from, to) : null, ...limits(bins, curve, from, to) };
-  })));
+  const lay = (turn) => curves.map((curve) => ({ ...curve, turn })).map((curve) => (
+    { ...curve, series: curve.main ? bins.series(curve, from, to) : null, ...limits(bins, curve, from, to) }));
+  // Angles are shown from -180 to 180 or from 0 to 360 degrees: 179 and -179 are 2 degrees apart.
+  const plain = lay(0), turned = options.degrees && span(plain) > 180 ? lay(360) : plain;
+  const drawn = span(turned) < span(plain) ? turned : plain;
   const [least, most, step] = range(options, drawn);
   const px = (t) => left + ((t - from) / (to - from)) * (right - left);
   const py = (value) => bottom - ((value - least) / (most - least)) * (bottom - top);
@@ -52,11 +53,7 @@ export function drawChart(context, options, x, y, width, height) {
   heading(context, options, drawn, joint, left, y + 10, x + width - 2, most, least);
 }
 
-// Of the same curves from -180 to 180 and from 0 to 360 degrees, those that span less: 179 and -179 are 2 degrees apart.
-function shortest(ways) {
-  const span = (drawn) => Math.max(...drawn.map(({ highest }) => highest)) - Math.min(...drawn.map(({ lowest }) => lowest));
-  return ways.reduce((best, way) => (span(way) < span(best) ? way : best));
-}
+const span = (drawn) => Math.max(...drawn.map(({ highest }) => highest)) - Math.min(...drawn.map(({ lowest }) => lowest));
 
 // The extremes of a curve, and its last value.
 function limits(bins, curve, from, to) {
@@ -144,7 +141,7 @@ function reading(bin, { digits, degrees }) {
   return (low === high ? low : `${low} to ${high}`) + spread;
 }
 
-function range({ range: fixed, least: span, degrees }, drawn) {
+function range({ range: fixed, least: smallest, degrees }, drawn) {
   if (fixed) {
     const step = nice((fixed[1] - fixed[0]) / (fixed[0] < 0 ? 4 : 5));
     return [fixed[0], fixed[1], step];
@@ -157,9 +154,9 @@ function range({ range: fixed, least: span, degrees }, drawn) {
     most = Math.max(most, high + extra);
   }
   if (!Number.isFinite(least)) [least, most] = [0, 180];
-  const step = degrees ? ANGLES.find((angle) => angle >= Math.max(most - least, span) / 4) ?? 90 : nice(Math.max(most - least, span) / 4);
-  const turned = drawn[0]?.turn / 2 || 0;
-  [least, most] = [Math.max(least, turned - 180), Math.min(most, turned + 180)];
+  const step = degrees ? ANGLES.find((angle) => angle >= Math.max(most - least, smallest) / 4) ?? 90 : nice(Math.max(most - least, smallest) / 4);
+  const { turn = 0 } = drawn[0] ?? {};
+  [least, most] = [Math.max(least, turn / 2 - 180), Math.min(most, turn / 2 + 180)];
   const bottom = Math.floor(least / step + 1e-9) * step;
   return [bottom, Math.max(Math.ceil(most / step - 1e-9) * step, bottom + step), step];
 }

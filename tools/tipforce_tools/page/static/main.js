@@ -65,7 +65,7 @@ async function begin(moment = null) {
   showEvents();
   take(setup.picture);
   panel.begin(setup);
-  if (moment !== null) goTo(Math.min(Math.max(moment, start), end));
+  if (moment !== null && end) goTo(Math.min(Math.max(moment, start), end));
   else if (setup.live) goLive();
   else if (calm.matches) goTo(setup.rest ?? start);
   else play();

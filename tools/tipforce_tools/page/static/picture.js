@@ -37,10 +37,9 @@ export function paintPicture(page, states, panel, scale) {
     const x = 10 + (n % perRow) * CARD, y = 84 + Math.floor(n / perRow) * CARD_HEIGHT;
     const geometry = page.setup.fingers[n];
     const word = state.word === "live" && page.mode !== "live" ? "recorded" : state.word;
-    const flags = state.flags.filter((flag) => flag !== state.why);
-    const words = [stateText(state, word, page.message.t), sense(state), ...flags].filter(Boolean).join(", ");
+    const words = [stateText(state, word, page.message.t), sense(state), ...state.flags.filter((flag) => flag !== state.why)];
     write(`${geometry.label}  (node ${geometry.node_id})`, x + 8, y + 16, "600 13px", colour.ink, CARD - 16);
-    write(words, x + 8, y + 32, "12px", flags.length ? colour.bad : colour.soft, CARD - 16);
+    write(words.filter(Boolean).join(", "), x + 8, y + 32, "12px", state.flags.length ? colour.bad : colour.soft, CARD - 16);
     drawSection(context, geometry, state, scale, x + 8, y + 38, CARD - 16, SECTION);
     const values = [state.P, state.phi, state.theta], spreads = [state.uP, state.uPhi, state.uTheta];
     QUANTITIES.forEach(({ symbol, unit, digits }, k) => {
