@@ -18,7 +18,7 @@ from tipforce.host.logs.candump_format import CandumpFormat
 from tipforce.samples import reasons
 from tipforce.samples.columns import Block
 from tipforce.samples.reasons import NO_ANSWER
-from tipforce.sensor.contact.scalar import FRONT_END_FAULT, SATURATED, STALE
+from tipforce.sensor.contact.scalar import CALIBRATED, FRONT_END_FAULT, SATURATED, STALE
 from tipforce.watching.feeds import Counters, Finger
 
 MAX_BYTES = 96 << 20
@@ -176,6 +176,9 @@ class Model:
         place = slice(self._end, self._end + len(block))
         for ours, theirs in zip(self._kept.columns, (t_ns, *block.columns[1:]), strict=True):
             ours[place] = theirs
+        # A number that its own status says to be unknown (2120h) is not shown.
+        unknown = (block.status & (FRONT_END_FAULT | STALE) != 0) | (block.status & CALIBRATED == 0)
+        self._kept.contact[place][unknown] = self._kept.u[place][unknown] = np.nan
         self._end += len(block)
         self._start = max(self._start, self._end - self.capacity)
 

@@ -67,13 +67,17 @@ function limits(bins, curve, from, to) {
   return { lowest, highest, last };
 }
 
+function segment(context, x0, y0, x1, y1) {
+  context.beginPath();
+  context.moveTo(x0, y0);
+  context.lineTo(x1, y1);
+  context.stroke();
+}
+
 function upright(context, at, top, bottom, style, width) {
   context.strokeStyle = style;
   context.lineWidth = width;
-  context.beginPath();
-  context.moveTo(Math.round(at) + 0.5, top - 4);
-  context.lineTo(Math.round(at) + 0.5, bottom + 4);
-  context.stroke();
+  segment(context, Math.round(at) + 0.5, top - 4, Math.round(at) + 0.5, bottom + 4);
 }
 
 // The name of each curve, at the height of its last value; names that would overlap are moved apart.
@@ -96,10 +100,7 @@ function names(context, drawn, py, right, top, bottom, most, least) {
   for (const { curve, y, end } of places) {
     context.strokeStyle = curve.colour;
     context.lineWidth = 0.8;
-    context.beginPath();
-    context.moveTo(right, end);
-    context.lineTo(right + 6, y);
-    context.stroke();
+    segment(context, right, end, right + 6, y);
     context.font = `${curve.main ? "600 " : ""}11px ${font.family}`;
     context.fillStyle = curve.colour;
     context.fillText(curve.name, right + 8, y, RIGHT - 8);
@@ -171,10 +172,7 @@ function grid(context, { left, right, least, most, step, py, digits, degrees }) 
   context.textBaseline = "middle";
   for (let value = least; value <= most + step / 2; value += step) {
     const at = Math.round(py(value)) + 0.5;
-    context.beginPath();
-    context.moveTo(left, at);
-    context.lineTo(right, at);
-    context.stroke();
+    segment(context, left, at, right, at);
     context.fillText(number(degrees ? within180(value) : value, digits), left - 6, at);
   }
 }
@@ -263,10 +261,7 @@ function marks(context, { events, node, from, to }, px, top, bottom) {
   context.lineWidth = 1;
   for (const event of events) {
     if (event.t < from || event.t > to || !isBad(event) || (event.node && event.node !== node)) continue;
-    context.beginPath();
-    context.moveTo(px(event.t), top);
-    context.lineTo(px(event.t), bottom);
-    context.stroke();
+    segment(context, px(event.t), top, px(event.t), bottom);
   }
   context.setLineDash([]);
 }
