@@ -1,4 +1,5 @@
 // The reference drawing: what phi, theta, push and pull are. Sense and axes as in the paper: x to the right, y upwards.
+import { segment } from "./charts.js";
 import { colour, font } from "./theme.js";
 
 const RADIANS = Math.PI / 180;
@@ -38,10 +39,7 @@ function stroke(context, from, to, style, dash = [], width = 1) {
   context.setLineDash(dash);
   context.strokeStyle = style;
   context.lineWidth = width;
-  context.beginPath();
-  context.moveTo(...from);
-  context.lineTo(...to);
-  context.stroke();
+  segment(context, ...from, ...to);
   context.setLineDash([]);
 }
 

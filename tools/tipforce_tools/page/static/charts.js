@@ -67,7 +67,7 @@ function limits(bins, curve, from, to) {
   return { lowest, highest, last };
 }
 
-function segment(context, x0, y0, x1, y1) {
+export function segment(context, x0, y0, x1, y1) {
   context.beginPath();
   context.moveTo(x0, y0);
   context.lineTo(x1, y1);
