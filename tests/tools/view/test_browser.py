@@ -77,7 +77,6 @@ def test_live_pause_scrub_and_replay(shown: Shown) -> None:
     model = shown.source.model
     model.add_event(model.now_ns(), 1, "heartbeat_back", "heartbeat received, operational")
     model.add_event(model.now_ns(), 2, "duplicate", "two nodes respond as node 2")
-    expect(page.locator("#events li[data-bad]")).to_have_count(1)
     page.click("#play")
     shown.mode("paused")
     shown.word(1, "recorded")
@@ -162,7 +161,6 @@ def test_a_finger_that_is_found_while_the_page_is_paused_gets_a_card(shown: Show
     page.keyboard.press("Home")
     shown.word(1, "no response")
     expect(page.locator('.finger[data-node="2"] .n').first).to_have_text(re.compile(r"^(0\.9|1\.0)"))
-    shown.mode("paused")
 
 
 def test_more_than_six_tabs_are_live(browser: Browser) -> None:
@@ -387,10 +385,10 @@ def test_gauges_and_forces_are_charted_with_fixed_scales(shown: Shown) -> None:
         assert len(row) == 3 * 10  # three fingers, each with three quantities
         if what == "gauges":
             assert row[:3] == [100.0, 100.0, 100.0]
-    # Directions around 180 degrees are drawn there.
-    rows = "[[1, 179, 90, 1, 181, 90, 0, 0, 0, 0], [1, -179, 90, 1, -178, 90, 0, 0, 0, 0]]"
-    fill = f"const bins = new Bins(20, 3), seen = []; bins.add({{ i: [0, 1], v: {rows} }}); "
-    read = "bins.values({ finger: 0, quantity: 1, turn: 360 }, 0, 40, (t, a, b) => seen.push(a, b)); return seen"
+    fill = (
+        "const bins = new Bins(20, 1), seen = []; bins.add({ i: [0, 1], v: [[179, 181, 0, 0], [-179, -178, 0, 0]] }); "
+    )
+    read = "bins.values({ finger: 0, quantity: 0, turn: 360 }, 0, 40, (t, a, b) => seen.push(a, b)); return seen"
     assert page.evaluate(f"import('/bins.js').then(({{ Bins }}) => {{ {fill}{read} }})") == [179, 181, 181, 182]
     shown.source.P[0] = 30.0
     expect(page.locator(".finger .n").first).to_contain_text("30.0")

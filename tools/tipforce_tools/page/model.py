@@ -215,7 +215,7 @@ class Model:
             past = self.rows.part(slice(int(np.searchsorted(self.rows.t_ns, moment, side="right"))))
             recent = past.t_ns[-_RATE_ROWS:]
             recent = recent[recent > moment - 1_000_000_000]
-            rate_hz = (len(recent) - 1) / max((moment - int(recent[0])) * 1e-9, 1e-9) if len(recent) > 1 else 0.0
+            rate_hz = (len(recent) - 1) / ((moment - int(recent[0])) * 1e-9) if (recent < moment).any() else 0.0
             lines = None
             if self.frames is not None:
                 frames, names = self.frames
