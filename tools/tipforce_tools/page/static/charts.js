@@ -163,7 +163,6 @@ function range({ range: fixed, least: smallest, degrees }, drawn) {
 }
 
 const within180 = (degrees) => (degrees > 180 ? degrees - 360 : degrees);
-
 function grid(context, { left, right, least, most, step, py, digits, degrees }) {
   context.strokeStyle = colour.line;
   context.fillStyle = colour.soft;

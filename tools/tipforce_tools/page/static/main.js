@@ -80,7 +80,6 @@ function listen(parameters) {
   page.stream = page.link.send({ do: "stream", bin: panel.binMs, what: panel.what, after, ...parameters });
 }
 
-// The server may be another one: a live page starts again.
 function connected() {
   begin(page.setup && page.mode !== "live" ? page.message.t : null).catch(failed);
 }
