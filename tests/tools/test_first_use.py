@@ -4,9 +4,12 @@ import io
 import math
 import re
 from pathlib import Path
+from typing import Any
 
+import can
 import numpy as np
 import pytest
+from can.interfaces.virtual import VirtualBus
 from rich.console import Console
 from rich.table import Table
 
@@ -55,8 +58,16 @@ def test_no_row_says_why_and_filters_behind_a_log_hold_for_it(hand_log: Path, pr
 
 
 @pytest.mark.parametrize("command", ["log -o {}.log --seconds 0.3", "dump -n 3", "monitor --once 0.3"])
-def test_sync_is_sent_while_a_command_listens(command: str, tmp_path: Path, printed: Printed) -> None:
-    """On a bus where no other device sends it; each also receives what it sends."""
+def test_sync_is_sent_while_a_command_listens(command: str, tmp_path: Path, printed: Printed, monkeypatch: Any) -> None:
+    """On a bus where no other device sends it, also after one that cannot be sent; each also receives what it sends."""
+    full, send = iter([False, True]), VirtualBus.send
+
+    def sends(*frame: Any) -> None:
+        if next(full, False):
+            raise can.CanOperationError("the queue is full")
+        send(*frame)
+
+    monkeypatch.setattr(VirtualBus, "send", sends)
     words = [*command.format(tmp_path / "v").split(), "-i", "virtual", "-c", f"sync {command}"]
     out = printed(0, [*words, "--sync", "100"]).out
     if command.startswith("log"):

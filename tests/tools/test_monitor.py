@@ -138,7 +138,7 @@ def test_heartbeat_and_its_loss() -> None:
     assert node(fed(beats), 3000).nmt == "operational"
     assert node(fed([(0, 0x705, b"\x00"), (1, 0x705, b"\x7f")]), 1).nmt == "pre-operational"
     assert "operational, heartbeat lost" in session.cells(node(fed(beats), 4600))
-    assert "no heartbeat" in session.cells(node(fed(contacts(2)), 10))
+    assert "no heartbeat" in session.cells(node(fed([*contacts(2), (9, 0x705, b"")]), 10))
 
 
 def test_a_boot_up_message_is_no_state_that_lasts() -> None:
@@ -309,7 +309,7 @@ def test_on_a_bus(printed: Printed) -> None:
     assert (of_node["node_id"], of_node["readings"]["P"]["value"], of_node["lost"]) == (5, 1.5, 0)
 
 
-@pytest.mark.parametrize("width", [250, 80])
+@pytest.mark.parametrize("width", [250, 80, 40])
 def test_the_screen_shows_what_the_text_shows(width: int, hand_log: Path) -> None:
     from rich.console import Console
 
@@ -318,7 +318,7 @@ def test_the_screen_shows_what_the_text_shows(width: int, hand_log: Path) -> Non
         for frames in reader:
             watched.feed(frames, reader.channels)
     views, stream = watched.views(), io.StringIO()
-    tables = session.tables(views, 1_000_000, ["what is missing"], "the foot", 80 if width == 80 else session.WIDE)
+    tables = session.tables(views, 1_000_000, ["what is missing"], "the foot", min(width, session.WIDE))
     Console(file=stream, width=width, no_color=True).print(tables)
     lines = stream.getvalue().splitlines()
     assert max(map(len, lines)) <= width
@@ -330,9 +330,9 @@ def test_the_screen_shows_what_the_text_shows(width: int, hand_log: Path) -> Non
         assert " ".join("\n".join(session.plain(views, 1_000_000)).split()).startswith("sim0: ")
         return
     assert "\u2026" not in stream.getvalue()
-    assert next(line for line in lines if line.startswith("node")).split()[-1] == "lost"
-    line = next(line for line in lines if line.startswith(row[0]))
-    assert line.split()[-1] == row[-1]
+    header, line = (next(line for line in lines if line.startswith(start)) for start in ("node", row[0]))
+    below = f"status {row[7]}, NMT {row[8]}, last EMCY {row[9]}, lost {row[-1]}" in " ".join(stream.getvalue().split())
+    assert below if width == 40 else (header.split()[-1], line.split()[-1]) == ("lost", row[-1])
     assert f"{node.readings['P'].value:.3f} N" in line
 
 

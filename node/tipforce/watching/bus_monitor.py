@@ -185,7 +185,7 @@ class BusMonitor:
 
     def _take_services(self, frames: FrameArray) -> None:
         for row, function, node_id, data in heartbeats_and_emcys(frames):
-            if node_id not in self._watched or not data:
+            if node_id not in self._watched or (function == codes.HEARTBEAT_BASE and len(data) != 1):
                 continue
             node, t_ns = self._nodes[node_id], int(frames["t_ns"][row])
             if function == codes.HEARTBEAT_BASE:

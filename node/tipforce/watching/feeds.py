@@ -89,7 +89,7 @@ _SERVICE = ~np.uint32(NODE_ID_MASK)
 _SERVICES = (NMT_COB_ID, EMCY_BASE, HEARTBEAT_BASE)
 COUNTED = ("missing", "late", "mixed", "doubtful")
 """The counts of a RowTally by finger that are shown, as ``Counters`` has them."""
-_UNPACED_FRAMES = 50  # PDOs without a SYNC, after which a PDO begins the rows
+_UNPACED_FRAMES = 50  # PDOs without a SYNC, or without the PDO that began the rows, after which another begins them
 
 
 class Watcher:
@@ -110,7 +110,7 @@ class Watcher:
         self._health_u: dict[int, tuple[int, float]] = {}
         self._faults = Health()
         self._synced = False
-        self._unsynced_pdos = 0
+        self._unpaced = 0
         self._pacer = 0
 
     def add(self, frames: FrameArray, now_s: float) -> tuple[list[Block], list[Event]]:
@@ -131,15 +131,17 @@ class Watcher:
             return [], events
         faults = np.stack([self._faults.at(finger.node_id, rows.sync_ns)[0] for finger in self.fingers], axis=-1)
         calibrations = [finger.calibration for finger in self.fingers]
-        u_of_rows = np.full(rows.counter.shape, np.nan) if self._health_u else None
-        if u_of_rows is not None:
-            for k, finger in enumerate(self.fingers):
-                t_ns, u_P = self._health_u.get(finger.node_id, (0, np.nan))
-                u_of_rows[:, k] = np.where(np.abs(rows.sync_ns - t_ns) < HEALTH_YOUNG_NS, u_P, np.nan)
+        u_of_rows = None
+        if self._health_u:
+            sent = [self._health_u.get(finger.node_id, (0, np.nan)) for finger in self.fingers]
+            young = [np.where(np.abs(rows.sync_ns - t_ns) < HEALTH_YOUNG_NS, u_P, np.nan) for t_ns, u_P in sent]
+            u_of_rows = np.stack(young, axis=-1)
         return [rows.block(calibrations, self._gauges, u_of_rows, faults)], events
 
     def state(self, node_id: int) -> str:
-        """Return the NMT state of a finger by its heartbeat; empty without one."""
+        """Return the NMT state of a finger by its heartbeat; empty without one; or that its node-id is that of two."""
+        if node_id in self._supervisor.duplicates.found:
+            return "id is that of two nodes"
         return self._supervisor.state_name(node_id) if self._supervisor.states.get(node_id, -1) >= 0 else ""
 
     @property
@@ -202,8 +204,8 @@ class Watcher:
         ids = frames["can_id"]
         self._synced = bool((ids == SYNC_COB_ID).any())
         pdos = ids[np.isin(ids & _SERVICE, list(self._bases))]
-        self._unsynced_pdos += len(pdos)
-        if not self._pacer and not self._synced and self._unsynced_pdos >= _UNPACED_FRAMES and len(pdos):
+        self._unpaced = 0 if (pdos == self._pacer).any() else self._unpaced + len(pdos)
+        if not self._synced and len(pdos) and self._unpaced >= max(_UNPACED_FRAMES, 4 * len(self.fingers)):
             values, counts = np.unique(pdos, return_counts=True)
             self._pacer = int(values[counts.argmax()])
         if self._synced:

@@ -94,7 +94,7 @@ class Observed:
         for can_id, row in last.items():
             node_id, base = can_id & codes.NODE_ID_MASK, can_id & codes.FUNCTION_MASK
             data = plain["data"][row].tobytes()[: int(plain["length"][row])]
-            if base == codes.HEARTBEAT_BASE and data and node_id:
+            if base == codes.HEARTBEAT_BASE and len(data) == 1 and node_id:
                 self.states[node_id] = data[0] & 0x7F
             elif base == codes.EMCY_BASE and len(data) == 8 and node_id:
                 self.emergencies[node_id] = int.from_bytes(data[:2], "little"), data[2]

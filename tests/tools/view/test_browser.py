@@ -1,9 +1,11 @@
 """The page in a real browser, headless Chromium: live, pause, scrub, replay, faults, tare, keyboard, export."""
 
 import contextlib
+import re
 import sys
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.samples.reasons import NO_ANSWER
-from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT, FRONT_END_FAULT
+from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT, FRONT_END_FAULT, OUTSIDE_PAD
 from tipforce.shipped_files import file_or_shipped
 from tipforce.watching.feeds import Finger, finger_maker
 from tipforce_tools.page.server import ViewServer
@@ -72,9 +74,11 @@ def test_live_pause_scrub_and_replay(shown: Shown) -> None:
     shown.word(1, "live")
     shown.source.P[0] = 3.0
     expect(page.locator(".finger .n").first).to_contain_text("3.0")
+    shown.source.model.add_event(0, 1, "heartbeat_back", "heartbeat received, operational")
     page.click("#play")
     shown.mode("paused")
     shown.word(1, "recorded")
+    expect(page.locator(".finger .words").first).to_contain_text("node operational")
     still = shown.force(1)
     shown.source.P[0] = 4.0
     page.wait_for_timeout(400)
@@ -123,19 +127,36 @@ def test_a_server_that_falls_silent_is_not_live(shown: Shown) -> None:
     shown.word(1, "live")
 
 
-def test_a_page_connects_again(browser: Browser) -> None:
+@pytest.mark.parametrize("paused", [False, True])
+def test_a_page_connects_again(browser: Browser, paused: bool) -> None:
     """To the same server, and to another one at the same address, whose hand has other fingers."""
     with serving(MovingSource(3)) as server:
         port = server.guard.port
         page = browser.new_page()
         page.goto(server.url)
         expect(page.locator("#mode")).to_have_text("live")
-    expect(page.locator("#mode")).to_have_text("not live")
+        if paused:
+            page.click("#play")
+    expect(page.locator("#mode")).to_have_text("paused" if paused else "not live")
     with serving(MovingSource(2), port=port):
-        expect(page.locator("#mode")).to_have_text("live")
         expect(page.locator(".finger")).to_have_count(2)
+        page.evaluate("document.getElementById('live').click()")
+        expect(page.locator("#mode")).to_have_text("live")
         expect(page.locator("#alarm")).to_be_hidden()
         page.close()
+
+
+def test_a_finger_that_is_found_while_the_page_is_paused_gets_a_card(shown: Shown) -> None:
+    model, page = shown.source.model, shown.page
+    page.click("#play")
+    shown.mode("paused")
+    model.fingers = tuple(replace(finger, node_id=finger.node_id + 1) for finger in model.fingers)
+    shown.source.pump = lambda: None  # type: ignore[method-assign]
+    model.set_fingers((Finger(1), *model.fingers))
+    page.focus("#scrub")
+    page.keyboard.press("Home")
+    shown.word(1, "no response")
+    expect(page.locator('.finger[data-node="2"] .n').first).to_have_text(re.compile(r"^(0\.9|1\.0)"))
 
 
 def test_more_than_six_tabs_are_live(browser: Browser) -> None:
@@ -262,8 +283,13 @@ def test_a_scene_loops_or_ends_on_its_best_moment(browser: Browser, loops: bool)
 def test_exports(shown: Shown, tmp_path: Path) -> None:
     page = shown.page
     expect(page.locator(".tare")).to_have_count(0)  # it is read-only
+    shown.source.status[1] = GOOD | OUTSIDE_PAD
+    expect(page.locator(".finger .flag")).to_have_text("theta outside the pad")
+    spy = "it.fillText = function (...all) { texts.push(all[0]); draw.apply(this, all); }"
+    page.evaluate(f"() => {{ const it = CanvasRenderingContext2D.prototype, draw = it.fillText; texts = []; {spy} }}")
     with page.expect_download() as picture:
         page.click("#png")
+    assert "live, push, theta outside the pad" in page.evaluate("texts")
     path = tmp_path / "view.png"
     picture.value.save_as(path)
     content = path.read_bytes()

@@ -83,6 +83,22 @@ def test_memory_is_bounded(count: int) -> None:
     assert 2 * holding(count, 0).capacity * row_bytes(count, 3) <= MAX_BYTES
 
 
+@pytest.mark.parametrize("phi", [(179.0, 181.0), (-90.0, 89.0), (-179.0, -178.0)])
+def test_an_envelope_of_angles_goes_the_shorter_way_around(phi: tuple[float, float]) -> None:
+    model, rows = holding(), block([0.0, 1.0], [[400.0], [400.0]])
+    rows.contact[:, 0, 1] = [degrees - 360.0 * (degrees > 180.0) for degrees in phi]
+    model.add(rows)
+    assert tuple(model.envelope(START_NS // MS // 10, START_NS // MS // 10, 10 * MS)[1][0, 0, [1, 4]]) == phi
+
+
+@pytest.mark.parametrize("status", [CALIBRATED | FRONT_END_FAULT, CALIBRATED | STALE, CONTACT_PRESENT])
+def test_a_number_that_its_own_status_says_to_be_unknown_is_not_shown(status: int) -> None:
+    model = holding()
+    model.add(block([0.0], [[1.0]], status))
+    (state,) = model.picture(START_NS).states
+    assert (state.word, *np.isnan(state.contact)) == ("unknown", True, True, True)
+
+
 def test_envelopes_of_gauges_and_forces() -> None:
     model = holding(2, 10, gauges=4)
     rows = block([0, 1], [[1.0, 2.0], [3.0, np.nan]], gauges=4)

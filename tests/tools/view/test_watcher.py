@@ -81,6 +81,8 @@ def test_without_a_sync_a_pdo_paces_the_rows() -> None:
     found = run(watcher, *(cycle(k, (1, 2), sync=False) for k in range(60)))
     assert found[-1].shape == (1, 2)
     assert not np.isnan(found[-1]).any()
+    found = run(watcher, *(cycle(k, (2,), sync=False) for k in range(60, 130)))  # that PDO comes no more
+    assert np.isnan(found[-1]).tolist() == [[True, False]]
 
 
 def test_health_tells_the_uncertainty_of_the_force() -> None:
@@ -126,6 +128,11 @@ def test_a_part_of_a_log(log: Path) -> None:
     source = LogSource(log, Finger, start_s=1.0, end_s=1.5)
     assert source.model.counters.rows == 50
     assert source.model.span_ns()[0] == START_NS + 1000 * MS
+    assert LogSource(log, Finger, start_s=1.0, end_s=1.005).model.counters.load == (None, None)
+    log.write_text(
+        "".join((lines := log.read_text().splitlines(keepends=True))[300:] + lines[:300])
+    )  # a clock that is set back: frames are not of a row's moment
+    assert (source.model.frames is None, LogSource(log, Finger).model.frames is None) == (False, True)
 
 
 class Bus(FrameSource):
@@ -166,11 +173,14 @@ def test_a_page_that_listens_says_what_happens_on_its_bus() -> None:
     source.pump()
     kinds = [event.kind for event in source.model.events()]
     assert kinds == ["heartbeat_back", "heartbeat_lost", "bus_down", "bus_up"]
+    bus.frames = [(START_NS + 7_010 * MS, 0x081, b"\x50\x81\x11\x81\x02\0\0\0")]
+    source.pump()
+    assert source.model.nmt == ["id is that of two nodes"]
     bus.error = EnvironmentLackError("can0: no such device")
     source.pump()
     source.pump()
     assert source.model.error == "reception has ended: can0: no such device"
-    assert [event.kind for event in source.model.events()][4:] == ["bus_down"]
+    assert [event.kind for event in source.model.events()][4:] == ["duplicate", "emcy", "bus_down"]
     with pytest.raises(RefusedError, match="only listens"):
         source.tare(1)
 

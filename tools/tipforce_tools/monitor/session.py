@@ -18,7 +18,7 @@ from tipforce.host.live.targets import ANY, STDIN, split_targets
 from tipforce.host.logs.notes import no_frame, no_sample
 from tipforce.watching.bus_monitor import QUANTITIES, BusView, Monitor, NodeView, Reading
 from tipforce.watching.frame_sources import BusSource, FrameSource, LogSource, PipeSource
-from tipforce_tools.cli import common, log_flags
+from tipforce_tools.cli import bus_flags, common, log_flags
 from tipforce_tools.cli.common import shown_id
 from tipforce_tools.cli.listening import Hints, StopSignals, check_sync, counted, open_targets
 from tipforce_tools.cli.main import INTERRUPTED
@@ -48,7 +48,7 @@ def monitor(args: Namespace) -> int:
         stop = opened.enter_context(StopSignals())
         hints = Hints(lambda _text: None)
         source, log = _source(args, log_name, targets, interval_s, opened, hints)
-        bitrate = getattr(args, "bitrate", BITRATE)
+        bitrate = bus_flags.bus_options(args).get("bitrate", BITRATE)
         live = None
         if screen:
             from rich.live import Live
@@ -144,6 +144,7 @@ TWO_NODES = "TWO NODES with this id"
 """In place of the status: its values are those of either."""
 WIDE = 120
 """Width of the whole table in characters."""
+_VALUES = ("node", *QUANTITIES)
 _WIDE_ONLY = frozenset({"Hz", "period ms p50/p99/max"})
 _NARROW = {"node": 8, "age": 6, "P": 8, "phi": 10, "theta": 10, "NMT": 11, "last EMCY": 5, "lost": 4}
 COLUMNS = ("node", "Hz", "period ms p50/p99/max", "age", *QUANTITIES, "status", "NMT", "last EMCY", "lost")
@@ -221,7 +222,8 @@ def plain(buses: Sequence[BusView], bitrate: int) -> Iterator[str]:
 
 
 def tables(buses: Sequence[BusView], bitrate: int, lines: Iterable[str], foot: str, width: int = WIDE) -> Group:
-    """Return the table, ``lines`` and ``foot``; one narrower than WIDE has no borders, no rate, and no periods."""
+    """Return the table, ``lines`` and ``foot``; one narrower than WIDE has no borders, no rate, and no periods;
+    below 80 characters only the values are in it."""
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text
@@ -234,6 +236,9 @@ def tables(buses: Sequence[BusView], bitrate: int, lines: Iterable[str], foot: s
             table.box, table.padding, table.pad_edge = None, (0, 1, 0, 0), False
         kept = [k for k, name in enumerate(COLUMNS) if not narrow or name not in _WIDE_ONLY]
         status_width = max(width - sum(_NARROW.values()) - len(kept), 10)
+        # Below 80 characters a column would break numbers: all but the values is in a line for each node.
+        below = [k for k in kept if width < 80 and COLUMNS[k] not in _VALUES]
+        kept = [k for k in kept if k not in below]
         for k in kept:
             fixed = _NARROW.get(COLUMNS[k], status_width) if narrow else None
             table.add_column(COLUMNS[k], width=fixed, overflow="fold")
@@ -241,7 +246,11 @@ def tables(buses: Sequence[BusView], bitrate: int, lines: Iterable[str], foot: s
             texts = cells(node)
             row = (Text(texts[k], style=_style(texts[k])) for k in kept)
             table.add_row(*row, style="dim" if node.stale else "")
-        parts += [table, *(Text(node.duplicate, style="bold red") for node in bus.nodes if node.duplicate)]
+        parts.append(table)
+        for texts in map(cells, bus.nodes if below else ()):
+            line = f"{texts[0]}: {', '.join(f'{COLUMNS[k]} {texts[k]}' for k in below if texts[k] != '-')}"
+            parts.append(Text(line, style=_style(line)))
+        parts += (Text(node.duplicate, style="bold red") for node in bus.nodes if node.duplicate)
     return Group(*parts, *map(Text, lines), Text(foot, style="dim"))
 
 

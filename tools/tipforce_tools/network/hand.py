@@ -188,6 +188,7 @@ def _rows(hand: Hand, seconds: float | None) -> None:
                     columns = {} if rows.missing[row, k] else {n: c[row, k].item() for n, c in rows.columns.items()}
                     record[str(contact.node_id)] = {"name": contact.name, **columns, "reason": contact.reason}
                 common.print_json(record)
+            sys.stdout.flush()  # a reader has the rows at any SYNC rate
         elif time.monotonic() - shown_s >= 1.0:
             shown_s = time.monotonic()
             print(_line(hand, rows_one_by_one(rows, made)[-1]), flush=True)

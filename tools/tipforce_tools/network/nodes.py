@@ -111,8 +111,7 @@ def run_read(args: argparse.Namespace) -> int:
                 if NOT_CALIBRATED in contact.reason and node_id not in bare:
                     bare.add(node_id)
                     common.note(str(not_calibrated(node_id)))
-                if not common.OUTPUT.json:
-                    sys.stdout.flush()
+                sys.stdout.flush()
     return 0
 
 

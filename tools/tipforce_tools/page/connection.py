@@ -14,6 +14,7 @@ import numpy as np
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
+from canopen_device.visible_text import visible
 from tipforce.errors import InputError, RefusedError, TipforceError
 from tipforce.samples.reasons import NO_ANSWER
 from tipforce.sensor.structure.layouts import GAUGE_LENGTH_M
@@ -62,12 +63,13 @@ class Cursor:
         """Return the next message; the last one has ended."""
         model = self._model
         now_ns, ended = self.now_ns()
-        picture = model.picture(now_ns)
         last = now_ns // self._bin_ns
         first = max(self._bin, last - MAX_BINS + 1)
         # The last bin is not complete: it is sent again.
         self._bin = last
-        picture.bins = envelope_message(model, first, last, self._bin_ns, self._what)
+        bins = envelope_message(model, first, last, self._bin_ns, self._what)
+        picture = model.picture(now_ns)  # after the bins: its generation is never older than their columns
+        picture.bins = bins
         live = model.live and now_ns >= model.span_ns()[1]
         picture.events = model.events(self._event, None if live else now_ns)[-MAX_EVENTS:] or None
         if picture.events:
@@ -129,7 +131,7 @@ def drawing(finger: Finger, gauges: int) -> dict[str, Any]:
     ``faces``: microstrain per newton of F1, F2, F3 at both ends of each face of each beam, linear between."""
     geometry = finger.geometry
     return {
-        "node_id": finger.node_id, "label": finger.label, "layout": finger.layout,
+        "node_id": finger.node_id, "label": visible(finger.label), "layout": finger.layout,
         "calibrated_here": finger.calibration is not None,
         "a": geometry.a_m * MM, "d": geometry.d_m * MM, "r": geometry.r_m * MM,
         "h1": geometry.h1_m * MM, "h2": geometry.h2_m * MM,
@@ -261,7 +263,8 @@ def answer(request: AnyRequest, source: Source, read_only: str) -> Any:
             first, last = _ns(request.start) // width_ns, _ns(request.end) // width_ns
             if not 0 <= last - first <= MAX_BINS:
                 raise InputError(f"start, end, bin: {last - first} bins, allowed are 0 to {MAX_BINS}")
-            return envelope_message(model, first, last, width_ns, request.what)
+            bins = envelope_message(model, first, last, width_ns, request.what)
+            return bins | {"generation": model.generation}
         case Tare():
             if source.no_tare or read_only:
                 raise RefusedError(source.no_tare or read_only)

@@ -18,7 +18,7 @@ from tipforce.host.logs.candump_format import CandumpFormat
 from tipforce.samples import reasons
 from tipforce.samples.columns import Block
 from tipforce.samples.reasons import NO_ANSWER
-from tipforce.sensor.contact.scalar import FRONT_END_FAULT, SATURATED, STALE
+from tipforce.sensor.contact.scalar import CALIBRATED, FRONT_END_FAULT, SATURATED, STALE
 from tipforce.watching.feeds import Counters, Finger
 
 MAX_BYTES = 96 << 20
@@ -113,8 +113,8 @@ class Model:
         self.fingers: tuple[Finger, ...] = ()
         """The fingers in the order of the columns."""
         self.counters = Counters()
-        self.generation = 0
-        """Number of changes of the fingers."""
+        self.generation = time.time_ns() // 1_000_000
+        """Grows by 1 with each change of the fingers; another server at the same address has another one."""
         self.frames: tuple[FrameArray, tuple[str, ...]] | None = None
         """Those of a log and its interfaces, to be shown as candump does; None: too many, or live."""
         self.nmt: list[str] = []
@@ -176,6 +176,9 @@ class Model:
         place = slice(self._end, self._end + len(block))
         for ours, theirs in zip(self._kept.columns, (t_ns, *block.columns[1:]), strict=True):
             ours[place] = theirs
+        # A number that its own status says to be unknown (2120h) is not shown.
+        unknown = (block.status & (FRONT_END_FAULT | STALE) != 0) | (block.status & CALIBRATED == 0)
+        self._kept.contact[place][unknown] = self._kept.u[place][unknown] = np.nan
         self._end += len(block)
         self._start = max(self._start, self._end - self.capacity)
 
@@ -212,7 +215,7 @@ class Model:
             past = self.rows.part(slice(int(np.searchsorted(self.rows.t_ns, moment, side="right"))))
             recent = past.t_ns[-_RATE_ROWS:]
             recent = recent[recent > moment - 1_000_000_000]
-            rate_hz = (len(recent) - 1) / max((moment - int(recent[0])) * 1e-9, 1e-9) if len(recent) > 1 else 0.0
+            rate_hz = (len(recent) - 1) / ((moment - int(recent[0])) * 1e-9) if (recent < moment).any() else 0.0
             lines = None
             if self.frames is not None:
                 frames, names = self.frames
@@ -231,12 +234,13 @@ class Model:
     ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
         """Return bins first to last (inclusive) of ``width_ns`` that are not empty: the number (b,) of each, whose time
         is number x width; and (b, k, 3 q + 1): minimum, maximum and largest standard uncertainty of q quantities, NaN
-        where none was known, and the number of rows in which the first was unknown or the finger missing.
+        where none was known, and the number of rows in which the first was unknown or the finger missing. Angles around
+        180 degrees are within 0 to 360.
 
         The quantities are P, phi, theta; or without uncertainties F1, F2, F3, or the strain of each gauge."""
         with self._lock:
-            ends = np.searchsorted(self.rows.t_ns, (first_bin * width_ns, (last_bin + 1) * width_ns)).tolist()
-            rows = self.rows.part(slice(*ends))
+            span = np.searchsorted(self.rows.t_ns, (first_bin * width_ns, (last_bin + 1) * width_ns)).tolist()
+            rows = self.rows.part(slice(*span))
             number = rows.t_ns // width_ns
             starts = np.flatnonzero(np.diff(number, prepend=number[:1] - 1))
             values = rows.gauges if what == "gauges" else forces(rows.contact) if what == "forces" else rows.contact
@@ -244,8 +248,14 @@ class Model:
                 return number, np.zeros((0, values.shape[1], 3 * values.shape[2] + 1))
             u = rows.u if what == "contact" else np.full_like(values, np.nan)
             unknown = np.isnan(values[..., 0]) | (rows.status & NO_ANSWER != 0)
+            ends = [extreme.reduceat(values, starts) for extreme in (np.fmin, np.fmax)]
+            if what == "contact":  # angles the shorter way around: 179 and -179 degrees are 2 degrees apart
+                turned = [extreme.reduceat(values[..., 1:] % 360.0, starts) for extreme in (np.fmin, np.fmax)]
+                shorter = turned[1] - turned[0] < (ends[1] - ends[0])[..., 1:]
+                for of_180, of_360 in zip(ends, turned, strict=True):
+                    np.copyto(of_180[..., 1:], of_360, where=shorter)
             reduced = (
-                np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts), np.fmax.reduceat(u, starts),
+                *ends, np.fmax.reduceat(u, starts),
                 np.add.reduceat(unknown.astype(np.int64), starts)[..., np.newaxis],
             )  # fmt: skip
             return number[starts], np.concatenate(reduced, axis=-1, dtype=np.float64)

@@ -141,8 +141,8 @@ class LogSource(Source):
         if not self._watcher.tally.rows:
             raise InputError(f"{path}: no sample between --from and --to; the log lasts {self._seconds:g} s")
         start, end = self.model.span_ns()
-        bits = DEFAULT_BIT_RATE * max((end - start) * 1e-9, 1e-9)
-        self.model.counters = Counters.of(self._watcher.tally, load=(low / bits, high / bits))
+        bits = DEFAULT_BIT_RATE * (end - start) * 1e-9  # 0: one moment has no load
+        self.model.counters = Counters.of(self._watcher.tally, load=(low / bits, high / bits) if bits else (None, None))
 
     def _discover(self, start_s: float, end_s: float | None) -> int:
         """Find the fingers and the length of the log; return the rows of the part at most: SYNCs, or a node's PDOs."""
@@ -182,7 +182,9 @@ class LogSource(Source):
                 low, high = low + least, high + most
         self._add(_NO_FRAMES, last_s + 1.0)  # the end of a log is not a lost heartbeat
         if kept and sum(map(len, kept)) <= MAX_FRAMES:
-            self.model.frames = np.concatenate(kept), tuple(log.channels)
+            frames = np.concatenate(kept)
+            if (np.diff(frames["t_ns"]) > -1_000_000_000).all():  # a clock set back: they are not of a row's moment
+                self.model.frames = frames, tuple(log.channels)
         return low, high
 
     def _add(self, frames: FrameArray, now_s: float) -> list[Event]:

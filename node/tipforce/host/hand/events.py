@@ -46,7 +46,7 @@ class Supervisor:
         self.states: dict[int, int] = dict.fromkeys(node_ids, _UNKNOWN_STATE)
         """Last reported NMT state by node-id; -1 for a silent node."""
         self._heard_s: dict[int, float] = {}
-        self._duplicates = DuplicateNodes()
+        self.duplicates = DuplicateNodes()
 
     def state_name(self, node_id: int) -> str:
         """Return the NMT state as text."""
@@ -59,7 +59,7 @@ class Supervisor:
         if len(frames):
             # Not SDO: requests of the host itself are not among the frames of every link; its channels watch them.
             sdo = (frames["can_id"] >= codes.SDO_RESPONSE_BASE) & (frames["can_id"] < codes.HEARTBEAT_BASE)
-            for duplicate in find_duplicates(self._duplicates, frames[~sdo]):
+            for duplicate in find_duplicates(self.duplicates, frames[~sdo]):
                 if duplicate.node_id in self.states:
                     events.append(Event(now_s, duplicate.node_id, "duplicate", str(duplicate)))
             for _, function, node_id, data in heartbeats_and_emcys(frames):

@@ -101,11 +101,13 @@ def open_link(options: Mapping[str, Any]) -> Link:
 
 
 def kernel_sync(bus: can.BusABC, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
-    """Send SYNCs with ``data`` in turn by CAN_BCM on python-can's SocketCAN bus, until the returned function is called.
-    Raises EnvironmentLackError."""
+    """Send SYNCs with ``data`` in turn by CAN_BCM, else by python-can's thread, until the returned function
+    is called. Raises EnvironmentLackError."""
     messages = [can.Message(arbitration_id=SYNC_COB_ID, is_extended_id=False, data=number) for number in data]
     try:
         task = bus.send_periodic(messages, period_s)
+        if isinstance(task, can.broadcastmanager.ThreadBasedCyclicSendTask):
+            task.on_error = lambda _error: True  # it goes on when the bus does
     except (can.CanError, OSError) as error:
         raise EnvironmentLackError(f"SYNC by the kernel's broadcast manager: {error}; `modprobe can-bcm`") from error
 

@@ -75,10 +75,11 @@ def find_nodes(
         time.sleep(max(min(_STEP_S, left_s), 0.0))
         frames = connection.buffer.take_all()
         observe(frames)
-        for can_id, first in zip(frames["can_id"].tolist(), frames["data"][:, 0].tolist(), strict=True):
+        parts = frames["can_id"].tolist(), frames["data"][:, 0].tolist(), frames["length"].tolist()
+        for can_id, first, length in zip(*parts, strict=True):
             if can_id - codes.SDO_RESPONSE_BASE in wanted:
                 answered.add(can_id - codes.SDO_RESPONSE_BASE)
-            elif can_id - codes.HEARTBEAT_BASE in wanted:
+            elif can_id - codes.HEARTBEAT_BASE in wanted and length == 1:
                 states[can_id - codes.HEARTBEAT_BASE] = first & 0x7F
         ended = left_s <= _STEP_S or wanted <= answered & states.keys()
     connection.check_reception()

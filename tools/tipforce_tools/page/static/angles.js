@@ -1,4 +1,5 @@
 // The reference drawing: what phi, theta, push and pull are. Sense and axes as in the paper: x to the right, y upwards.
+import { segment } from "./charts.js";
 import { colour, font } from "./theme.js";
 
 const RADIANS = Math.PI / 180;
@@ -34,14 +35,11 @@ export function drawAngles(context, width, height) {
   label(context, "P", [tail[0] + 6, tail[1] - 4], colour.force);
 }
 
-function stroke(context, from, to, style, dash = []) {
+function stroke(context, from, to, style, dash = [], width = 1) {
   context.setLineDash(dash);
   context.strokeStyle = style;
-  context.lineWidth = 1;
-  context.beginPath();
-  context.moveTo(...from);
-  context.lineTo(...to);
-  context.stroke();
+  context.lineWidth = width;
+  segment(context, ...from, ...to);
   context.setLineDash([]);
 }
 
@@ -65,12 +63,8 @@ function label(context, text, [x, y], style) {
 
 function arrow(context, [tx, ty], [hx, hy]) {
   const length = Math.hypot(hx - tx, hy - ty), ux = (hx - tx) / length, uy = (hy - ty) / length;
-  context.strokeStyle = context.fillStyle = colour.force;
-  context.lineWidth = 2.2;
-  context.beginPath();
-  context.moveTo(tx, ty);
-  context.lineTo(hx - 7 * ux, hy - 7 * uy);
-  context.stroke();
+  stroke(context, [tx, ty], [hx - 7 * ux, hy - 7 * uy], colour.force, [], 2.2);
+  context.fillStyle = colour.force;
   context.beginPath();
   context.moveTo(hx, hy);
   context.lineTo(hx - 9 * ux - 4 * uy, hy - 9 * uy + 4 * ux);

@@ -37,10 +37,13 @@ export class Bins {
     }
   }
 
-  // Calls with (time, low, high) for each bin of a curve, as `each`; low is null where unknown.
-  values({ finger, quantity }, fromMs, toMs, call) {
-    const low = finger * this.fields + quantity, high = low + this.quantities;
-    this.each(fromMs, toMs, (t, row) => call(t, row[low] ?? null, row[high]));
+  // Calls with (time, low, high, row) for each bin of a curve; low is null where unknown. Values below 0 get `turn` more.
+  values({ finger, quantity, turn = 0 }, fromMs, toMs, call) {
+    const at = finger * this.fields + quantity;
+    this.each(fromMs, toMs, (t, row) => {
+      const low = row[at] ?? null, high = row[at + this.quantities], more = low !== null && low + high < 0 ? turn : 0;
+      call(t, low === null ? null : low + more, high + more, row);
+    });
   }
 
   // {low, high, u} of the bin nearest to a time, at most `within` away; null for none, or one without a value.
@@ -54,13 +57,11 @@ export class Bins {
   }
 
   // [{t, low, high, u, unknown}] of one quantity of one finger, in the order of time; low is null where unknown.
-  series({ finger, quantity }, fromMs, toMs) {
-    const found = [], base = finger * this.fields, q = this.quantities;
-    this.each(fromMs, toMs, (t, row) => {
+  series(curve, fromMs, toMs) {
+    const found = [], base = curve.finger * this.fields, q = this.quantities;
+    this.values(curve, fromMs, toMs, (t, low, high, row) => {
       if (row.length < base + this.fields) return;
-      found.push({
-        t, low: row[base + quantity], high: row[base + q + quantity], u: row[base + 2 * q + quantity], unknown: row[base + 3 * q],
-      });
+      found.push({ t, low, high, u: row[base + 2 * q + curve.quantity], unknown: row[base + 3 * q] });
     });
     return found;
   }

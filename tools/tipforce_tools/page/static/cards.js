@@ -112,7 +112,7 @@ function tareButton(label, tare) {
 export function sense(state) {
   if (state.word === "silent" || state.P === null) return "";
   if (!(state.status & 1)) return "no contact";
-  if (state.theta === null) return "contact";
+  if (state.phi === null || state.theta === null) return "contact";
   return Math.cos(((state.phi - state.theta) * Math.PI) / 180) < 0 ? "push" : "pull";
 }
 

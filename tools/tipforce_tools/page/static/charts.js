@@ -12,13 +12,17 @@ export function drawChart(context, options, x, y, width, height) {
   const { bins, curves, from, to, axis } = options;
   const bottom = y + height - (axis ? 24 : 8), top = y + 16, left = x + LEFT, right = x + width - RIGHT;
   // A series has an object for each bin: only for the main curves.
-  const drawn = curves.map((curve) => ({ ...curve, series: curve.main ? bins.series(curve, from, to) : null, ...limits(bins, curve, from, to) }));
+  const lay = (turn) => curves.map((curve) => ({ ...curve, turn })).map((curve) => (
+    { ...curve, series: curve.main ? bins.series(curve, from, to) : null, ...limits(bins, curve, from, to) }));
+  // Angles are shown from -180 to 180 or from 0 to 360 degrees: 179 and -179 are 2 degrees apart.
+  const plain = lay(0), turned = options.degrees && span(plain) > 180 ? lay(360) : plain;
+  const drawn = span(turned) < span(plain) ? turned : plain;
   const [least, most, step] = range(options, drawn);
   const px = (t) => left + ((t - from) / (to - from)) * (right - left);
   const py = (value) => bottom - ((value - least) / (most - least)) * (bottom - top);
   context.save();
   context.font = `11px ${font.family}`;
-  grid(context, { left, right, least, most, step, py, digits: step < 0.1 ? 2 : step < 1 ? 1 : 0 });
+  grid(context, { left, right, least, most, step, py, digits: step < 0.1 ? 2 : step < 1 ? 1 : 0, degrees: options.degrees });
   if (axis) timeAxis(context, { left, right, from, to, px, bottom });
   context.beginPath();
   context.rect(left, top - 6, right - left, bottom - top + 12);
@@ -49,6 +53,8 @@ export function drawChart(context, options, x, y, width, height) {
   heading(context, options, drawn, joint, left, y + 10, x + width - 2, most, least);
 }
 
+const span = (drawn) => Math.max(...drawn.map(({ highest }) => highest)) - Math.min(...drawn.map(({ lowest }) => lowest));
+
 // The extremes of a curve, and its last value.
 function limits(bins, curve, from, to) {
   let lowest = Infinity, highest = -Infinity, last = null;
@@ -61,13 +67,17 @@ function limits(bins, curve, from, to) {
   return { lowest, highest, last };
 }
 
+export function segment(context, x0, y0, x1, y1) {
+  context.beginPath();
+  context.moveTo(x0, y0);
+  context.lineTo(x1, y1);
+  context.stroke();
+}
+
 function upright(context, at, top, bottom, style, width) {
   context.strokeStyle = style;
   context.lineWidth = width;
-  context.beginPath();
-  context.moveTo(Math.round(at) + 0.5, top - 4);
-  context.lineTo(Math.round(at) + 0.5, bottom + 4);
-  context.stroke();
+  segment(context, Math.round(at) + 0.5, top - 4, Math.round(at) + 0.5, bottom + 4);
 }
 
 // The name of each curve, at the height of its last value; names that would overlap are moved apart.
@@ -90,10 +100,7 @@ function names(context, drawn, py, right, top, bottom, most, least) {
   for (const { curve, y, end } of places) {
     context.strokeStyle = curve.colour;
     context.lineWidth = 0.8;
-    context.beginPath();
-    context.moveTo(right, end);
-    context.lineTo(right + 6, y);
-    context.stroke();
+    segment(context, right, end, right + 6, y);
     context.font = `${curve.main ? "600 " : ""}11px ${font.family}`;
     context.fillStyle = curve.colour;
     context.fillText(curve.name, right + 8, y, RIGHT - 8);
@@ -118,7 +125,7 @@ function heading(context, options, drawn, joint, left, baseline, right, most, le
   context.font = `12px ${font.family}`;
   const words = [[clock(options.pointer, 2), colour.soft]];
   const order = [...drawn.filter((curve) => curve.main), ...drawn.filter((curve) => !curve.main)];
-  for (const curve of order) words.push([`${curve.name} ${reading(options.bins.nearest(curve, options.pointer, joint), options.digits)}`, curve.colour]);
+  for (const curve of order) words.push([`${curve.name} ${reading(options.bins.nearest(curve, options.pointer, joint), options)}`, curve.colour]);
   for (const [text, style] of words) {
     const width = context.measureText(text).width;
     if (at + width > right) return;
@@ -128,14 +135,14 @@ function heading(context, options, drawn, joint, left, baseline, right, most, le
   }
 }
 
-function reading(bin, digits) {
+function reading(bin, { digits, degrees }) {
   if (!bin) return "unknown";
   const spread = bin.u === null ? "" : ` \u00b1 ${number(K * bin.u, digits)}`;
-  const low = number(bin.low, digits), high = number(bin.high, digits);
+  const [low, high] = [bin.low, bin.high].map((value) => number(degrees ? within180(value) : value, digits));
   return (low === high ? low : `${low} to ${high}`) + spread;
 }
 
-function range({ range: fixed, least: span, degrees }, drawn) {
+function range({ range: fixed, least: smallest, degrees }, drawn) {
   if (fixed) {
     const step = nice((fixed[1] - fixed[0]) / (fixed[0] < 0 ? 4 : 5));
     return [fixed[0], fixed[1], step];
@@ -148,13 +155,15 @@ function range({ range: fixed, least: span, degrees }, drawn) {
     most = Math.max(most, high + extra);
   }
   if (!Number.isFinite(least)) [least, most] = [0, 180];
-  const step = degrees ? ANGLES.find((angle) => angle >= Math.max(most - least, span) / 4) ?? 90 : nice(Math.max(most - least, span) / 4);
-  [least, most] = [Math.max(least, -180), Math.min(most, 180)];
+  const step = degrees ? ANGLES.find((angle) => angle >= Math.max(most - least, smallest) / 4) ?? 90 : nice(Math.max(most - least, smallest) / 4);
+  const { turn = 0 } = drawn[0] ?? {};
+  [least, most] = [Math.max(least, turn / 2 - 180), Math.min(most, turn / 2 + 180)];
   const bottom = Math.floor(least / step + 1e-9) * step;
   return [bottom, Math.max(Math.ceil(most / step - 1e-9) * step, bottom + step), step];
 }
 
-function grid(context, { left, right, least, most, step, py, digits }) {
+const within180 = (degrees) => (degrees > 180 ? degrees - 360 : degrees);
+function grid(context, { left, right, least, most, step, py, digits, degrees }) {
   context.strokeStyle = colour.line;
   context.fillStyle = colour.soft;
   context.lineWidth = 1;
@@ -162,11 +171,8 @@ function grid(context, { left, right, least, most, step, py, digits }) {
   context.textBaseline = "middle";
   for (let value = least; value <= most + step / 2; value += step) {
     const at = Math.round(py(value)) + 0.5;
-    context.beginPath();
-    context.moveTo(left, at);
-    context.lineTo(right, at);
-    context.stroke();
-    context.fillText(number(value, digits), left - 6, at);
+    segment(context, left, at, right, at);
+    context.fillText(number(degrees ? within180(value) : value, digits), left - 6, at);
   }
 }
 
@@ -254,12 +260,9 @@ function marks(context, { events, node, from, to }, px, top, bottom) {
   context.lineWidth = 1;
   for (const event of events) {
     if (event.t < from || event.t > to || !isBad(event) || (event.node && event.node !== node)) continue;
-    context.beginPath();
-    context.moveTo(px(event.t), top);
-    context.lineTo(px(event.t), bottom);
-    context.stroke();
+    segment(context, px(event.t), top, px(event.t), bottom);
   }
   context.setLineDash([]);
 }
 
-export const isBad = (event) => ["emcy", "heartbeat_lost", "bus_down", "failed"].includes(event.kind);
+export const isBad = (event) => ["emcy", "heartbeat_lost", "bus_down", "failed", "duplicate"].includes(event.kind);

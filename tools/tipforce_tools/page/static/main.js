@@ -33,16 +33,18 @@ const panel = new Panel(page, {
   changed: (span) => { page.dirty = true; if (span) respan(); },
   built: (canvases) => { canvases.forEach((canvas) => sight.observe(canvas)); page.dirty = true; },
   pause: () => pause(),
-  failed,
+  isOther, failed,
 });
 // For measurements and tests: messages received and pictures drawn so far, and the charts.
 window.tipforce = { messages: 0, drawn: 0, panel };
 
 // --- start -----------------------------------------------------------------------------------------------------
 
-async function begin() {
-  page.setup = await page.link.ask({ do: "setup" });
-  const { setup } = page;
+// `moment`: that of a paused page, which keeps its picture unless the server has other fingers.
+async function begin(moment = null) {
+  const setup = await page.link.ask({ do: "setup" }), { start, end } = setup.picture;
+  if (moment !== null && setup.generation === page.setup.generation) return;
+  page.setup = setup;
   $("title").textContent = setup.title;
   document.title = `tipforce: ${setup.title}`;
   page.events = setup.live ? setup.events : []; // those of a recording come with its moments
@@ -63,8 +65,9 @@ async function begin() {
   showEvents();
   take(setup.picture);
   panel.begin(setup);
-  if (setup.live) goLive();
-  else if (calm.matches) goTo(setup.rest ?? setup.picture.start);
+  if (moment !== null && end) goTo(Math.min(Math.max(moment, start), end));
+  else if (setup.live) goLive();
+  else if (calm.matches) goTo(setup.rest ?? start);
   else play();
 }
 
@@ -77,9 +80,16 @@ function listen(parameters) {
   page.stream = page.link.send({ do: "stream", bin: panel.binMs, what: panel.what, after, ...parameters });
 }
 
-// The server may have changed: a live page starts again, a paused one keeps its picture.
 function connected() {
-  if (!page.setup || page.mode === "live") begin().catch(failed);
+  begin(page.setup && page.mode !== "live" ? page.message.t : null).catch(failed);
+}
+
+// Whether a message is about other fingers than those of the cards; the page then starts again.
+function isOther({ generation }) {
+  if (generation === page.setup.generation) return false;
+  page.stream = 0;
+  begin(page.mode === "paused" ? page.message.t : null).catch(failed);
+  return true;
 }
 
 function disconnected() {
@@ -125,7 +135,7 @@ async function goTo(t) {
   if (page.mode !== "paused") pause();
   const turn = (page.asked += 1);
   const message = await page.link.ask({ do: "at", t }).catch(failed);
-  if (!message || turn !== page.asked || page.mode !== "paused") return;
+  if (!message || turn !== page.asked || page.mode !== "paused" || isOther(message)) return;
   take(message);
   if (panel.follow(message.t, false) || !panel.bins.rows.size) await panel.fill();
 }
@@ -170,11 +180,7 @@ function receive(message) {
   page.lateBy = Math.min(delay, page.lateBy + 0.02);
   page.arrived = now;
   if (page.mode === "live" && delay - page.lateBy > LATE_MS) page.arrived = now - (delay - page.lateBy);
-  if (message.generation !== page.setup.generation) {
-    page.stream = 0;
-    begin().catch(failed);
-    return;
-  }
+  if (isOther(message)) return;
   panel.bins.add(message.bins);
   const live = page.mode === "live";
   if (message.events) {
@@ -339,9 +345,10 @@ function nmtOf(node, until) {
     const event = page.events[n];
     if (event.node !== node || event.t > until) continue;
     if (event.kind === "state") return event.text;
+    if (event.kind === "duplicate") return "id is that of two nodes";
     if (event.kind === "boot_up") return "booted";
     if (event.kind === "heartbeat_lost") return "heartbeat lost";
-    if (event.kind === "heartbeat_back") return event.text.replace("heard, ", "");
+    if (event.kind === "heartbeat_back") return event.text.replace("heartbeat received, ", "");
   }
   return "";
 }
@@ -353,7 +360,7 @@ function showEvents() {
     const who = document.createElement("b");
     time.textContent = clock(event.t);
     who.textContent = label(event.node);
-    text.append(who, ` ${event.kind.replace("_", " ")}${event.text ? `: ${event.text}` : ""}`);
+    text.append(who, ` ${event.kind.replaceAll("_", " ")}${event.text ? `: ${event.text}` : ""}`);
     if (isBad(event)) item.dataset.bad = "";
     item.append(time, text);
     return item;
@@ -368,7 +375,6 @@ function speak(events) {
 function choose(n) {
   page.chosen = n;
   page.cards.forEach((card, k) => card.choose(k === n));
-  const label = page.setup.fingers[n]?.label ?? "";
   panel.label();
   page.dirty = true;
 }

@@ -13,7 +13,7 @@ const DRAG = 6; // pixels: less is a click
 const $ = (id) => document.getElementById(id);
 
 export class Panel {
-  // actions: {ask, moveTo(t), changed(spanToo), failed}; page: the state of main.js
+  // actions: {ask, moveTo(t), changed(spanToo), isOther(message), failed}; page: the state of main.js
   constructor(page, actions) {
     Object.assign(this, { page, actions, what: "contact", widthMs: 10000, from: 0, to: 1, pointer: null, drag: null });
     this.bins = new Bins(20, 3);
@@ -143,7 +143,7 @@ export class Panel {
     this.bins = bins;
     const request = { do: "history", start: Math.max(0, from), end: to, bin: bins.widthMs, what };
     const found = await this.actions.ask(request).catch(this.actions.failed);
-    if (!found || this.bins !== bins) return;
+    if (!found || this.bins !== bins || this.actions.isOther(found)) return;
     found.i.forEach((index, n) => { if (!bins.rows.has(index)) bins.set(index, found.v[n]); });
     this.actions.changed(false);
   }

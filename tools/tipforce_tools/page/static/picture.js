@@ -19,12 +19,12 @@ export function paintPicture(page, states, panel, scale) {
   context.scale(RATIO, RATIO);
   context.fillStyle = colour.card;
   context.fillRect(0, 0, WIDTH, height);
-  const write = (text, x, y, style, look = colour.ink) => {
+  const write = (text, x, y, style, look = colour.ink, most = WIDTH - 32) => {
     context.font = `${style} ${font.family}`;
     context.fillStyle = look;
     context.textAlign = "left";
     context.textBaseline = "alphabetic";
-    context.fillText(text, x, y);
+    context.fillText(text, x, y, most);
   };
   write(`tipforce  ${page.setup.title}`, 16, 28, "600 17px");
   const day = new Date(page.message.t).toISOString().slice(0, 10);
@@ -37,8 +37,9 @@ export function paintPicture(page, states, panel, scale) {
     const x = 10 + (n % perRow) * CARD, y = 84 + Math.floor(n / perRow) * CARD_HEIGHT;
     const geometry = page.setup.fingers[n];
     const word = state.word === "live" && page.mode !== "live" ? "recorded" : state.word;
-    write(`${geometry.label}  (node ${geometry.node_id})`, x + 8, y + 16, "600 13px");
-    write(`${stateText(state, word, page.message.t)}  ${sense(state)}`, x + 8, y + 32, "12px", colour.soft);
+    const words = [stateText(state, word, page.message.t), sense(state), ...state.flags.filter((flag) => flag !== state.why)];
+    write(`${geometry.label}  (node ${geometry.node_id})`, x + 8, y + 16, "600 13px", colour.ink, CARD - 16);
+    write(words.filter(Boolean).join(", "), x + 8, y + 32, "12px", state.flags.length ? colour.bad : colour.soft, CARD - 16);
     drawSection(context, geometry, state, scale, x + 8, y + 38, CARD - 16, SECTION);
     const values = [state.P, state.phi, state.theta], spreads = [state.uP, state.uPhi, state.uTheta];
     QUANTITIES.forEach(({ symbol, unit, digits }, k) => {

@@ -1,4 +1,5 @@
 // The cross-section of one fingertip, to scale, with its contact. Lengths in mm, y upwards.
+import { segment } from "./charts.js";
 import { K, signed } from "./format.js";
 import { colour, font, strainColour } from "./theme.js";
 
@@ -177,10 +178,7 @@ function label(view, gauge, n, value, stale, rows) {
   const text = `SG${n + 1} ${value === null ? "\u2013" : signed(value, 0)}`;
   context.strokeStyle = colour.edge;
   context.lineWidth = 0.8;
-  context.beginPath();
-  context.moveTo(view.x(middle[0]), view.y(middle[1]));
-  context.lineTo(view.x(at - (outer ? -1 : 1) * sign * 0.3), view.y(row) - (outer ? 5 : 0));
-  context.stroke();
+  segment(context, view.x(middle[0]), view.y(middle[1]), view.x(at - (outer ? -1 : 1) * sign * 0.3), view.y(row) - (outer ? 5 : 0));
   context.textAlign = sign < 0 !== outer ? "right" : "left";
   context.fillStyle = value === null || stale ? colour.soft : colour.ink;
   context.fillText(text, view.x(at), view.y(row));
@@ -258,10 +256,7 @@ function line(view, tail, head) {
   context.strokeStyle = colour.force;
   context.lineWidth = Math.max(3, view.k);
   context.setLineDash([8, 6]);
-  context.beginPath();
-  context.moveTo(view.x(tail[0]), view.y(tail[1]));
-  context.lineTo(view.x(head[0]), view.y(head[1]));
-  context.stroke();
+  segment(context, view.x(tail[0]), view.y(tail[1]), view.x(head[0]), view.y(head[1]));
   context.setLineDash([]);
 }
 
@@ -291,10 +286,7 @@ function arrow(view, tail, head) {
   const size = Math.min(HEAD * view.k, 0.6 * length), wing = 0.5 * size; // seen from across a room
   context.strokeStyle = context.fillStyle = colour.force;
   context.lineWidth = Math.min(SHAFT * view.k, 0.25 * length);
-  context.beginPath();
-  context.moveTo(tx, ty);
-  context.lineTo(hx - ux * size * 0.8, hy - uy * size * 0.8);
-  context.stroke();
+  segment(context, tx, ty, hx - ux * size * 0.8, hy - uy * size * 0.8);
   context.beginPath();
   context.moveTo(hx, hy);
   context.lineTo(hx - ux * size - uy * wing, hy - uy * size + ux * wing);
@@ -305,7 +297,6 @@ function arrow(view, tail, head) {
 
 // The bar of strain colours.
 export function drawLegend(context, scale, width, height) {
-  context.clearRect(0, 0, width, height);
   context.font = `11px ${font.family}`;
   context.textBaseline = "middle";
   const middle = height / 2, left = 46, bar = 120;
