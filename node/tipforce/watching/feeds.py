@@ -138,6 +138,10 @@ class Watcher:
             u_of_rows = np.stack(young, axis=-1)
         return [rows.block(calibrations, self._gauges, u_of_rows, faults)], events
 
+    def pace_by_pdo(self) -> None:
+        """Let a PDO begin the rows from the first on, as where there is no SYNC."""
+        self._unpaced = max(_UNPACED_FRAMES, 4 * len(self.fingers))
+
     def state(self, node_id: int) -> str:
         """Return the NMT state of a finger by its heartbeat; empty without one; or that its node-id is that of two."""
         if node_id in self._supervisor.duplicates.found:

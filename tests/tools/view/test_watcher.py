@@ -129,10 +129,15 @@ def test_a_part_of_a_log(log: Path) -> None:
     assert source.model.counters.rows == 50
     assert source.model.span_ns()[0] == START_NS + 1000 * MS
     assert LogSource(log, Finger, start_s=1.0, end_s=1.005).model.counters.load == (None, None)
-    log.write_text(
-        "".join((lines := log.read_text().splitlines(keepends=True))[300:] + lines[:300])
-    )  # a clock that is set back: frames are not of a row's moment
+    lines = log.read_text().splitlines(keepends=True)
+    log.write_text("".join(lines[300:] + lines[:300]))  # a clock that is set back: frames are not of a row's moment
     assert (source.model.frames is None, LogSource(log, Finger).model.frames is None) == (False, True)
+
+
+def test_a_short_log_without_sync(tmp_path: Path) -> None:
+    frames = frame_array([frame for k in range(3) for frame in cycle(k, (1, 2)) if frame[1] != 0x80])
+    model = LogSource(write_frames(tmp_path / "run.log", frames), Finger).model
+    assert (model.counters.rows, model.counters.missing) == (3, [0, 0])
 
 
 class Bus(FrameSource):

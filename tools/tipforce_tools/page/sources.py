@@ -166,6 +166,8 @@ class LogSource(Source):
             if not log.timed:
                 raise InputError(f"{self._path}: the log has no timestamps, which a replay needs")
         self._limits = start, end
+        if not count[SYNC_COB_ID]:
+            self._watcher.pace_by_pdo()
         return int(count[SYNC_COB_ID]) or int(count[TPDO_BASES[0] + 1 : RPDO_BASES[2]].max())
 
     def _read(self) -> tuple[int, int]:
