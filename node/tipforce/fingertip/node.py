@@ -88,10 +88,8 @@ class Fingertip(Application):
         self._forget(now_us)
         self.load_filter()
         self.reports.reset()
-        damaged = self.device.storage.damaged
-        if "application" in damaged:
-            self.calibration.restore(None)  # it held for the scaling that is lost
-        if "calibration" in damaged or "application" in damaged or self.calibration.refused:
+        # With a scaling that is lost the calibration, which stays, may mean another force.
+        if set(self.device.storage.damaged) & {"calibration", "application"} or self.calibration.refused:
             self.device.emcy.raise_error(table.EMCY_CALIBRATION_INVALID, emcy.MANUFACTURER)
 
     def on_settings(self) -> None:

@@ -137,6 +137,7 @@ class PolledDevice:
     """True if ``read`` starts the conversion, False if the device converts on its own."""
     name: str
     channels: tuple[str, ...]
+    channels: tuple[str, ...] = ()
     _temperature: str | None = None
     """The channel of a temperature."""
 
