@@ -70,6 +70,7 @@ def test_a_new_calibration_gives_the_uncertainties_at_once(bus: tipforce.Simulat
     assert calibration is not None
     noisy = dataclasses.replace(calibration, covariance_strain2=1e4 * calibration.covariance_strain2)
     with tipforce.open(**bus.bus_options) as other:
+        bus.sync()  # an answer that is not read yet is of the calibration before
         (other.finger(5) if by_another else finger).apply_calibration(noisy, store=False)
     assert finger.read().u_P_newtons == pytest.approx(100.0 * u_newtons, rel=0.1)
 

@@ -100,11 +100,12 @@ class ContactReader:
         return None
 
     def newest(self, deadline_s: float, period_s: float | None) -> Contact | None:
-        """Return the newest sample that was not returned yet, if it is fresh; else the next one. Raises as ``next``."""
+        """Return the newest sample that was not returned yet, if it is fresh and of what holds now; else the next one.
+        Raises as ``next``."""
         newest = None
         while (contact := self._take()) is not None:
             newest = contact
-        if newest is not None and time.time() - newest.t_s <= _FRESH_S:
+        if newest is not None and self.end_s == math.inf and time.time() - newest.t_s <= _FRESH_S:
             return newest
         return self.next(deadline_s, period_s)
 
