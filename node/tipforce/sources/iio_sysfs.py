@@ -136,7 +136,6 @@ class PolledDevice:
     polled = True
     """True if ``read`` starts the conversion, False if the device converts on its own."""
     name: str
-    channels: tuple[str, ...]
     channels: tuple[str, ...] = ()
     _temperature: str | None = None
     """The channel of a temperature."""
