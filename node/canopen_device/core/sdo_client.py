@@ -32,6 +32,7 @@ class Transfer:
         self._deadline_us = deadline_us
         self._due_us = -1  # not started
         self._patient = False
+        self.nameless = True  # an abort without an object is ours; not after a block whose segments are aborted one by one
         self._requests: "list[bytes]" = []
         self._conversation = self._converse()
         self.ended = False
@@ -82,7 +83,7 @@ class Transfer:
             return self._ignore(response)
         if response[0] == _ABORT:
             # Some servers do not name the object when no transfer is active.
-            if response[1:4] != self.place and response[1:4] != b"\0\0\0":
+            if response[1:4] != self.place and not (self.nameless and response[1:4] == b"\0\0\0"):
                 return self._ignore(response)
             self.abort_code = int.from_bytes(response[4:], "little")
             self._end()

@@ -424,6 +424,27 @@ async def test_a_full_transmit_queue_delays_a_block(talk: Talk) -> None:
     assert talk.sdo.has_blocks
 
 
+class Late(DelayedBus):
+    """Answers take longer than the half second after which a node acknowledges the part of a block that it has."""
+
+    def send(self, message: Any, _timeout: float | None = None) -> None:
+        super().send(message)
+        if message.data[0] >> 5 == 6:
+            self._loop.call_later(0.5, self._expire)
+
+    def _expire(self) -> None:
+        answers = [frame for device in self._devices for frame in device.step(round(1e6 * self._loop.time()))[0]]
+        self._loop.call_later(self._delay_s, self._receive, answers)
+
+
+@with_node_5(Late, delay_s=0.6, timeout_s=5.0, retries=0)
+async def test_a_block_that_is_sent_twice_because_its_start_was_late_is_written(talk: Talk) -> None:
+    """The node aborts each segment of the second one; those aborts are not of the transfer without blocks."""
+    record = bytes(158)
+    await talk.sdo.write_async(od.CALIBRATION_STAGED_RECORD, record)
+    assert await talk.sdo.read_async(od.CALIBRATION_STAGED_RECORD) == record
+
+
 class NoBlocks(DelayedBus):
     def send(self, message: Any, _timeout: float | None = None) -> None:
         if message.data[0] >> 5 in (5, 6):

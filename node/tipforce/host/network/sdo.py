@@ -302,6 +302,7 @@ class Exchange:
         if block and code == codes.UNKNOWN_COMMAND:  # the node has no block transfers: this was no attempt
             self._channel.has_blocks = False
             self._transfer = self._next_attempt()
+            self._transfer.nameless = isinstance(transfer, BlockUpload)
             self._attempts -= 1
             self._step(None)
         elif code is not None:
