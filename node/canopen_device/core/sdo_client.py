@@ -32,7 +32,7 @@ class Transfer:
         self._deadline_us = deadline_us
         self._due_us = -1  # not started
         self._patient = False
-        self.nameless = True  # an abort without an object is ours; not after a block whose segments are aborted one by one
+        self.nameless = True  # an abort without an object counts; not where the segments of a block are aborted
         self._requests: "list[bytes]" = []
         self._conversation = self._converse()
         self.ended = False
