@@ -101,8 +101,8 @@ def open_link(options: Mapping[str, Any]) -> Link:
 
 
 def kernel_sync(bus: can.BusABC, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
-    """Send SYNCs with ``data`` in turn by CAN_BCM, else by python-can's thread, until the returned function
-    is called. Raises EnvironmentLackError."""
+    """Send SYNCs with ``data`` in turn by CAN_BCM, else by a thread of python-can, until the returned function is
+    called. Raises EnvironmentLackError."""
     messages = [can.Message(arbitration_id=SYNC_COB_ID, is_extended_id=False, data=number) for number in data]
     try:
         task = bus.send_periodic(messages, period_s)

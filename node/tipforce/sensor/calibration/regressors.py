@@ -13,7 +13,7 @@ from tipforce.errors import InputError
 
 DRIFTS = ("none", "tare", "linear")
 MOST_KNOTS = 100
-"""Of a drift through tares; of more tares some lie between them."""
+"""Times at which a drift through tares may bend, the most; of more tares evenly chosen ones are such times."""
 
 
 class OffsetBasis(NamedTuple):
