@@ -165,6 +165,22 @@ def test_follow_a_file_that_grows_and_starts_again(tmp_path: Path) -> None:
     log.close()
 
 
+def test_lines_written_just_before_the_stop_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "x.log"
+    path.write_text(LINES[0])
+    looks = iter([False, True])
+
+    def stop() -> bool:
+        stopped = next(looks, True)
+        if stopped and path.stat().st_size == len(LINES[0]):
+            with path.open("a") as file:
+                file.write(LINES[1])
+        return stopped
+
+    frames, _ = read(path, follow=True, stop=stop)
+    assert len(frames) == 2
+
+
 def test_stdin_gives_what_has_arrived() -> None:
     program = (
         "from tipforce.host.logs.reader import open_log\nfor block in open_log('-'): print(len(block), flush=True)"

@@ -312,7 +312,7 @@ class LineBlocks:
     def _read(self, filled: int) -> int:
         with memoryview(self._storage) as view:
             while not self._waits or self._wait():
-                limit = BLOCK_BYTES
+                limit, stopped = BLOCK_BYTES, self._stop()  # before the read: all that stood in front of it is read
                 if self._end is not None:
                     limit = min(limit, filled + self._end - self._file.tell())
                 try:
@@ -325,7 +325,7 @@ class LineBlocks:
                     return count
                 if os.fstat(self._file.fileno()).st_size < self._file.tell():
                     self._file.seek(0)
-                elif self._stop():
+                elif stopped:
                     break
                 else:
                     time.sleep(_POLL_S)
@@ -334,10 +334,10 @@ class LineBlocks:
     def _wait(self) -> bool:
         silent_s = time.monotonic() + self._timeout_s
         while True:
-            if self._end_s is None or not self._stop():
-                self._end_s = time.monotonic() + _LAST_S
-            elif time.monotonic() > self._end_s:
+            if self._end_s is not None and time.monotonic() > self._end_s:
                 return False
+            if self._end_s is None and self._stop():
+                self._end_s = time.monotonic() + _LAST_S
             if select.select([self._file], [], [], min(_POLL_S, self._timeout_s))[0]:
                 return True
             if time.monotonic() >= silent_s:
