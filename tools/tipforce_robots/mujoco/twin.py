@@ -61,16 +61,28 @@ class Load:
     """The load on one tip; vectors (3,) along x, y, z of the site. ``F_newtons``: F1, F2, F3, equation (16), all that
     the gauges see; ``force_newtons``: sum of the contact forces, ``sum_newtons`` of their magnitudes."""
 
-    __slots__ = ("F_newtons", "_rows", "contacts", "force_newtons", "moment_newton_metres", "sum_newtons")
+    __slots__ = ("F_newtons", "_axes", "_rows", "_wrench", "contacts", "sum_newtons")
 
     def __init__(self, axes: list[float], wrench: Wrench, r_m: float, strain_per_newton: list[Vector]) -> None:
         """``axes``: the site's rotation by rows."""
         a, b, c, d, e, f, g, h, i = axes
         x, y, z, p, q, r, self.sum_newtons, self.contacts = wrench
-        self.force_newtons: Vector = a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
-        self.moment_newton_metres: Vector = a * p + d * q + g * r, b * p + e * q + h * r, c * p + f * q + i * r
-        self.F_newtons: Vector = self.force_newtons[1], self.moment_newton_metres[2] / r_m, self.force_newtons[0]
-        self._rows = strain_per_newton
+        self.F_newtons: Vector = b * x + e * y + h * z, (c * p + f * q + i * r) / r_m, a * x + d * y + g * z
+        self._axes, self._wrench, self._rows = axes, wrench, strain_per_newton
+
+    @property
+    def force_newtons(self) -> Vector:
+        """The sum of the contact forces."""
+        c, f, i = self._axes[2::3]
+        x, y, z = self._wrench[:3]
+        return self.F_newtons[2], self.F_newtons[0], c * x + f * y + i * z
+
+    @property
+    def moment_newton_metres(self) -> Vector:
+        """The sum of their moments about the site."""
+        a, b, c, d, e, f, g, h, i = self._axes
+        p, q, r = self._wrench[3:6]
+        return a * p + d * q + g * r, b * p + e * q + h * r, c * p + f * q + i * r
 
     @property
     def microstrain(self) -> list[float]:
