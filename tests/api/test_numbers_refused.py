@@ -92,6 +92,7 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "retries": (lambda: tipforce.open("x", "virtual", retries=-1), "retries = -1: allowed are"),
     "noise as text": (lambda: beam_calibration(noise_microstrain="1"), "'1': allowed is 0 to"),  # type: ignore[arg-type]
     "seed": (lambda: tipforce.simulated_hand(2, seed=1.5), "seed 1.5: allowed are integers"),  # type: ignore[arg-type]
+    "no fingers": (lambda: tipforce.Hand.open(5), "fingers 5: allowed are a hand file, node-ids, or"),  # type: ignore[arg-type]
     "names of fingers": (lambda: tipforce.Hand.open({1: "thumb"}), "finger 1: allowed are node-ids by name"),  # type: ignore[dict-item]
     "node-id of a finger": (lambda: tipforce.Hand.open({"thumb": 1.5}), "'thumb': node-id 1.5: allowed are integers"),  # type: ignore[dict-item]
     "room of integers": (lambda: ESTIMATE(out=replace(ROOM, P_newtons=np.zeros(2, "i1"))), "is Contacts.empty(2)"),
@@ -144,7 +145,11 @@ def test_node_ids_of_any_integer_type() -> None:
         assert PolledHand(bus, ids).node_ids == (2, 100)
         with tipforce.Hand.open(ids, bus=bus) as hand:
             assert [type(node_id) for node_id in hand.node_ids] == [int, int]
-            assert hand.state(2) == "operational"
+            assert hand.state(2) == hand.state("finger 2") == "operational"
+            with pytest.raises(tipforce.InputError, match="finger 9: the hand has finger 2"):
+                hand.state(9)
+            with pytest.raises(tipforce.InputError, match="timeout_s = nan: allowed is 0 s or more"):
+                hand.rows(NAN)
     assert np.isnan(sensor.standard_uncertainties([4.0, 1.0, 2.0], -SQUARE, pull=True)).all()
     assert sensor.noise_gain(1e200 * SQUARE) == pytest.approx(3**0.5 * 1e200)
 

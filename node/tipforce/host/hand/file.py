@@ -1,7 +1,7 @@
 """A hand as a TOML file (docs/hand.md): its bus, its fingers, their settings and PDOs, and the SYNC rate."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -115,6 +115,8 @@ def read_hand(path: str | Path) -> HandFile:
 
 def hand_of(fingers: Mapping[str, int] | Sequence[int], plan: HandPlan) -> HandFile:
     """Return a hand without a file: node-ids, or node-ids by name. Raises InputError as ``check_hand``."""
+    if not isinstance(fingers, Iterable):
+        raise InputError(f"fingers {fingers!r}: allowed are a hand file, node-ids, or node-ids by name")
     named = fingers.items() if isinstance(fingers, Mapping) else [(f"finger {node_id}", node_id) for node_id in fingers]
     for name, _ in named:
         if not isinstance(name, str):

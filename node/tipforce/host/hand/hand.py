@@ -190,8 +190,9 @@ class Hand:
         """Return the events since the last call; at most the last 10 000."""
         return self._delivery.take_events()
 
-    def state(self, node_id: int) -> str:
-        """Return the NMT state of a finger as text; "silent" for one whose heartbeat is lost."""
+    def state(self, finger: str | int) -> str:
+        """Return the NMT state of a finger, by name or node-id, as text; "silent" for one whose heartbeat is lost."""
+        node_id = self._node_id(finger)
         return "unknown: reception has ended" if self.error is not None else self._supervisor.state_name(node_id)
 
     def settled(self) -> bool:
@@ -208,9 +209,12 @@ class Hand:
     def tare(self, finger: str | int) -> str:
         """Take the present force of a finger as zero; return its tare as text. ``foreign_changes`` decides on a tare by
         others or ``connection``. Raises InputError, NoResponseError, SdoAbortError without a force now."""
+        return self._recovery.tare(self._node_id(finger))
+
+    def _node_id(self, finger: str | int) -> int:
         for plan in self.file.finger:
             if finger in (plan.node_id, plan.name):
-                return self._recovery.tare(plan.node_id)
+                return plan.node_id
         known = ", ".join(plan.label for plan in self.file.finger)
         raise InputError(f"finger {finger!r}: the hand has {known}")
 

@@ -14,6 +14,7 @@ from tipforce.dictionary.signals import tpdo_messages
 from tipforce.host.frames.frame_array import RawFrame
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.trust import Trust
+from tipforce.host.network.sdo import checked_time
 from tipforce.samples.contact import Contact
 from tipforce.samples.record import Row, RowContacts, Rows
 from tipforce.samples.rows import RowAssembler
@@ -127,7 +128,8 @@ class HandRows(Iterator[T], AsyncIterator[T]):
     oldest are dropped beyond MAX_ROWS."""
 
     def __init__(self, delivery: Delivery, timeout_s: float | None, convert: Callable[[Rows], Iterable[T]]) -> None:
-        self._delivery, self._timeout_s, self._convert = delivery, timeout_s, convert
+        self._timeout_s = None if timeout_s is None else checked_time("timeout_s", timeout_s)
+        self._delivery, self._convert = delivery, convert
         self._blocks: deque[Rows] = deque()
         self._converted: deque[T] = deque()
         self._waiting = 0
