@@ -72,7 +72,7 @@ def connected(
     bus = FaultyBus(channel)
     with Bus(bus, timeout_s, retries) as connection, running(devices, channel):
         if devices:
-            connection.wait_for({0x700 + device.node_id for device in devices})
+            connection.wait_for({0x700 + device.node_id for device in devices}, 10.0)
         yield connection, bus
 
 
