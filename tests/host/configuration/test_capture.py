@@ -161,7 +161,7 @@ def test_a_node_that_goes_and_comes_back() -> None:
         reader = GaugeReader(connection, 5, 3, period_s=0.001)
         assert reader.capture(5).count == 5
         connection.nmt("reset-node", 5)  # as if it had lost its power
-        connection.wait_for({0x705})
+        connection.wait_for({0x705}, 10.0)
         assert reader.capture(5).count == 5
         connection.nmt("stop", 5)
         connection.sdo(5).timeout_s, connection.sdo(5).retries = 0.05, 0  # from here on nothing responds

@@ -36,7 +36,7 @@ def connection(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
 def sdo(connection: Bus) -> SdoChannel:
     connection.buffer.clear()
     connection.nmt("reset-node", NODE)
-    connection.wait_for({0x700 + NODE})
+    connection.wait_for({0x700 + NODE}, 10.0)
     return connection.sdo(NODE)
 
 

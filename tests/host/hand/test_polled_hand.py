@@ -65,7 +65,7 @@ def test_a_truncated_pdo_is_a_missing_finger(hand: PolledHand, bus: tuple[Bus, F
 def test_a_sample_never_shows_what_came_before_its_sync(hand: PolledHand, bus: tuple[Bus, FaultyBus]) -> None:
     apply_load(hand.connection, 1, 1.0, 90.0, 60.0)
     hand.connection.sync()
-    hand.connection.wait_for({0x281, 0x282, 0x287})
+    hand.connection.wait_for({0x281, 0x282, 0x287}, 10.0)
     apply_load(hand.connection, 1, 3.0, 90.0, 60.0)
     assert fresh_sample(hand).P_newtons[0] == pytest.approx(3.0, abs=0.02)
     bus[1].fault = lambda m: None if m.arbitration_id == 0x281 else m

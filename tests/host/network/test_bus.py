@@ -74,8 +74,8 @@ def test_wait_for_takes_up_to_the_last_awaited_and_leaves_the_rest() -> None:
     with connected(channel=channel) as (connection, _), can.Bus(interface="virtual", channel=channel) as other:
         for can_id in (0x10, 0x20, 0x10, 0x30, 0x40):
             other.send(can.Message(arbitration_id=can_id, data=[can_id], is_extended_id=False))
-        assert connection.wait_for({0x20, 0x30})["can_id"].tolist() == [0x10, 0x20, 0x10, 0x30]
-        rest = connection.wait_for({0x40})
+        assert connection.wait_for({0x20, 0x30}, 10.0)["can_id"].tolist() == [0x10, 0x20, 0x10, 0x30]
+        rest = connection.wait_for({0x40}, 10.0)
         assert rest["can_id"].tolist() == [0x40]
         assert rest["length"].tolist() == [1]
         assert rest["data"].tolist() == [[0x40] + [0] * 7]
@@ -88,7 +88,7 @@ def test_the_flags_of_a_frame_are_kept() -> None:
         other.send(can.Message(arbitration_id=0x701, data=b"\x05", is_extended_id=True))
         other.send(can.Message(arbitration_id=0x702, is_remote_frame=True, dlc=1, is_extended_id=False))
         other.send(can.Message(arbitration_id=0x7FE, is_extended_id=False))
-        found = connection.wait_for({0x7FE})
+        found = connection.wait_for({0x7FE}, 10.0)
     assert found["can_id"].tolist() == [0x8000_0701, 0x4000_0702, 0x7FE]
 
 

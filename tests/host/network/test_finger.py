@@ -70,7 +70,7 @@ def test_stored_or_not(bench: Bench) -> None:
     bench.client.apply_calibration(beam_calibration(serial=9), store=False)
     bench.connection.buffer.clear()
     bench.connection.nmt("reset-node", NODE)
-    bench.connection.wait_for({0x700 + NODE})
+    bench.connection.wait_for({0x700 + NODE}, 10.0)
     assert bench.client.verify_calibration(bench.active) == []
 
 

@@ -180,7 +180,7 @@ def test_a_late_answer_is_not_taken_for_the_next_one(connection: Bus, bus: Fault
     stale = struct.pack("<BHBI", 0x43, 0x1018, 4, 1000 + NODE)
     with can.Bus(interface="virtual", channel=bus.channel_id) as other:
         other.send(can.Message(arbitration_id=ANSWER, data=stale, is_extended_id=False))
-    connection.wait_for({ANSWER})
+    connection.wait_for({ANSWER}, 10.0)
     assert sdo.read(od.IDENTITY_PRODUCT) == 0x54500103
 
 
