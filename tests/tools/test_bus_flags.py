@@ -251,7 +251,7 @@ def situation(request: pytest.FixtureRequest) -> Iterator[tuple[str, str]]:
             nodes = [finger(5), *([finger(5, serial=1006, seed=2)] if name == "two nodes" else [])]
             connection = opened.enter_context(Bus.open(channel, "virtual"))
             opened.enter_context(running(nodes, channel))
-            connection.wait_for({0x705})
+            connection.wait_for({0x705}, 10.0)
             connection.sdo(5).write(od.HEARTBEAT_PRODUCER_MS, 60)
             if name not in {"not calibrated", "two nodes"}:
                 connection.finger(5).apply_calibration(beam_calibration(), store=False)

@@ -148,7 +148,7 @@ def test_nmt_waits_for_each_heartbeat(on_bus: Printed, bench: Bus) -> None:
     assert bench.sdo(6).read(od.HEARTBEAT_PRODUCER_MS) == 1000
     bench.buffer.clear()
     assert on_bus(0, "nmt start all") == ("", "")  # one frame
-    bench.wait_for({0x705, 0x706})
+    bench.wait_for({0x705, 0x706}, 10.0)
 
 
 @pytest.mark.usefixtures("quick_heartbeats")
@@ -214,7 +214,7 @@ def test_lss_renumbers_a_configured_node(on_bus: Printed, bench: Bus) -> None:
     assert out.endswith("serial 1005: node-id 9 (0x09)\n")
     assert "node-id 5 (0x05) remains active" in err
     on_bus(0, "nmt reset-comm 5")
-    bench.wait_for({0x709})
+    bench.wait_for({0x709}, 10.0)
     assert bench.sdo(9).read(od.IDENTITY_SERIAL) == 1005
 
 
@@ -314,7 +314,7 @@ def test_the_gauges_are_of_the_node(on_bus: Printed, bench: Bus, channel: str, t
     """Channel 14 exists with eight gauges alone, and the default span of channel 5 is that of a gauge."""
     source, target = SimulatedSource([[1e-4 * (k % 3 == i) for i in range(3)] for k in range(8)]), tmp_path / name
     with running([fingertip_node(9, source, n=8)], channel):
-        bench.wait_for({0x709})
+        bench.wait_for({0x709}, 10.0)
         assert on_bus(0, "config show 9 -q") == ("", "")
         bench.sdo(9).download(0x6149, 14, struct.pack("<f", 170.0))
         on_bus(0, f"config save 9 {target} -q")
@@ -328,7 +328,7 @@ def test_another_device_is_compared_with_nothing(on_bus: Printed, bench: Bus, ch
     """Its objects have defaults of their own, and another meaning from 2000h on."""
     device = Device(service_dictionary(9))
     with running([device], channel):
-        bench.wait_for({0x709})
+        bench.wait_for({0x709}, 10.0)
         out, err = on_bus(0, "config show 9")
         assert "0x1800:01  tpdo1.cob_id" in out
         assert "default" not in out
@@ -389,9 +389,10 @@ def test_run_prints_rows_and_counts(hand: tuple[ExitStack, Path], printed: Print
     rows = [record for record in ended.records if "row" in record]
     assert len(rows) >= 5
     assert rows[-1]["pairing"] == "numbered"
-    known = [row["1"]["P"] for row in rows if row["1"].get("P") is not None]  # an answer that is late: no P
-    assert known[-1] == pytest.approx(2.0, abs=5e-3)
-    assert (rows[-1]["2"]["name"], rows[-1]["2"]["calibrated"]) == ("index", True)
+    # An answer that is late has no P.
+    known, index = ([row[k] for row in rows if row[k].get("P") is not None] for k in "12")
+    assert known[-1]["P"] == pytest.approx(2.0, abs=5e-3)
+    assert (index[-1]["name"], index[-1]["calibrated"]) == ("index", True)
     assert {"calibrated", "started"} <= {record["event"] for record in ended.records if "event" in record}
     assert "SYNC period" in ended.err
     assert "thumb (1): missing" in ended.err

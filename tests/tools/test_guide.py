@@ -144,7 +144,7 @@ def test_from_the_first_weight_to_the_stored_calibration(bench: Bench) -> None:
 def _check_stored(bench: Bench) -> None:
     bench.connection.buffer.clear()
     bench.connection.nmt("reset-node", 5)
-    bench.connection.wait_for({0x705})
+    bench.connection.wait_for({0x705}, 10.0)
     calibration = read_calibration(bench.file)
     assert bench.connection.finger(5).verify_calibration(calibration) == []
     assert (calibration.serial, calibration.pull, calibration.layout_code) == (1005, True, 1)

@@ -150,7 +150,7 @@ def test_a_second_node_that_comes_while_samples_are_read_ends_them(passive: bool
             connection.finger(5).close()
         own = connection.finger(5, passive=passive)
         with running([node(1006)], channel):
-            connection.wait_for({0x705})
+            connection.wait_for({0x705}, 10.0)
             connection.nmt("start", 5)
 
             def read() -> None:
