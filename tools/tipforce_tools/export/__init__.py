@@ -42,8 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--eds", type=common.InputFile(), metavar="FILE", help="xdd: the EDS, DCF or XDD of any device")
     parser.add_argument("--hand", type=common.InputFile(), metavar="FILE", help="ros2: the hand in TOML, required")
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="gauges, 3 to 8 (default %(default)s)")
-    ids = list(range(1, 16))
-    parser.add_argument("--nodes", type=common.node_ids, default=ids, metavar="IDS", help="dbc: 1,2,5-9 (default 1-15)")
+    parser.add_argument("--nodes", type=common.node_ids, metavar="IDS", help="dbc: 1,2,5-9 (default 1-15)")
     parser.add_argument("--node-id", type=common.node_id, metavar="ID", help="dcf: 1 to 127, required")
     what = "dcf: TOML or DCF with the settings that are not at their default, as for `config apply`"
     parser.add_argument("--settings", type=common.InputFile(), metavar="FILE", help=what)
@@ -68,10 +67,12 @@ def run(args: argparse.Namespace) -> int:
     for name in ("programs", "simulated"):
         if getattr(args, name) and args.eds:
             raise InputError(f"--{name}: the objects are those of the file of --eds; leave one out")
-    of = {"eds": "xdd", "settings": "dcf", "hand": "ros2", "node-id": "dcf, xdd", "simulated": "eds, dcf, xdd"}
+    of = {"eds": "xdd", "settings": "dcf", "hand": "ros2", "node-id": "dcf, xdd", "simulated": "eds, dcf, xdd",
+          "nodes": "dbc"}  # fmt: skip
     for name, only in of.items():
         if getattr(args, name.replace("-", "_")) and args.format not in only.split(", "):
-            raise InputError(f"export {args.format}: --{name} is for {only} alone; leave it out")
+            instead = "a DBC has --nodes" if (name, args.format) == ("node-id", "dbc") else "leave it out"
+            raise InputError(f"export {args.format}: --{name} is for {only} alone; {instead}")
     converter = table.CONVERTER_24 if args.bits == 24 else table.CONVERTER_16
     if args.format in ("c", "ros2"):
         return _write_folder(args, converter)
@@ -97,7 +98,7 @@ def _text(args: argparse.Namespace, converter: Converter) -> str:
     if args.format == "dbc":
         from tipforce.dictionary.dbc import dbc_text
 
-        return dbc_text(args.nodes, args.gauges)
+        return dbc_text(args.nodes or range(1, 16), args.gauges)
     from tipforce.dictionary.eds import dcf_text, eds_text, lely_dialect
 
     if args.format == "xdd":
