@@ -86,7 +86,8 @@ def run_node(args: argparse.Namespace) -> int:
             service.lock_memory()
         origin = "" if args.source == "sim" else f"source {args.source}, "
         who, what = common.shown_node(args.node_id), f"layout {args.layout}, {origin}{place}"
-        service.serve(who, what, [device], [device], port)
+        with contextlib.closing(port):
+            service.serve(who, what, [device], [device], port)
     return 0
 
 
@@ -192,7 +193,8 @@ def run_simulate(args: argparse.Namespace) -> int:
             common.note(f"warning: {warning}")
     port, place = open_port(**bus_flags.find_bus(args))
     shown = ", ".join(f"{common.shown_id(device.node_id)} {device.description.product_name}" for device in devices)
-    serve(f"node {shown}", f"on {place}", devices, [device.core for device in devices], port)
+    with contextlib.closing(port):
+        serve(f"node {shown}", f"on {place}", devices, [device.core for device in devices], port)
     return 0
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from canopen_device.can_frame import raw_can_id
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 _AFTER_ERROR_S = 0.05
+_REOPEN_S = 1.0
 _UNNAMED = "name an interface and a channel, or set CAN_INTERFACE and CAN_CHANNEL"
 _FAILED = "`ip -br link` lists the interfaces of this machine"
 
@@ -48,26 +50,38 @@ def open_bus(options: Mapping[str, Any], unnamed: str = _UNNAMED, failed: str = 
 
 
 class PythonCanPort:
-    """Any python-can bus. The port retries a bus that fails; it logs this once, until a frame passes again."""
+    """Any python-can bus. The port retries a bus that fails; it logs this once, until a frame passes again. ``reopen``
+    returns another bus for one that has failed for a second, as a TCP link or a USB adapter that went."""
 
-    def __init__(self, bus: can.BusABC) -> None:
-        self._bus = bus
+    def __init__(self, bus: can.BusABC, reopen: Callable[[], can.BusABC] | None = None) -> None:
+        self._bus: can.BusABC | None = bus
+        self._reopen = reopen
+        self._reopen_s = 0.0
         self._failing = False
 
     def receive(self, timeout_s: float) -> Frame | None:
         """Return the next classic frame, or None."""
-        import can
-
-        try:
-            message = self._bus.recv(timeout_s)
-        except (can.CanError, OSError) as error:
-            self._fail("receive failed", error)
-            time.sleep(_AFTER_ERROR_S)
-            return None
+        message = self._received(timeout_s)
         if message is None or message.is_fd:
             return None
         self._failing = False
         return raw_can_id(message), bytes(message.data)
+
+    def _received(self, timeout_s: float) -> can.Message | None:
+        import can
+
+        if self._bus is not None:
+            try:
+                return self._bus.recv(timeout_s)
+            except (can.CanError, OSError) as error:
+                self._fail("receive failed", error)
+        time.sleep(_AFTER_ERROR_S)
+        if self._reopen is not None and time.monotonic() >= self._reopen_s:
+            self._reopen_s = time.monotonic() + _REOPEN_S
+            self.close()  # before: an adapter may open once
+            with suppress(EnvironmentLackError):
+                self._bus = self._reopen()
+        return None
 
     def send(self, frames: Iterable[Frame]) -> None:
         """Send frames; drop one that the bus rejects."""
@@ -75,8 +89,9 @@ class PythonCanPort:
 
         for can_id, data in frames:
             try:
-                self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
-                self._failing = False
+                if self._bus is not None:
+                    self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+                    self._failing = False
             except (can.CanError, OSError) as error:
                 self._fail("a frame was not sent", error)
 
@@ -89,9 +104,15 @@ class PythonCanPort:
 
     def close(self) -> None:
         """Close the bus."""
-        self._bus.shutdown()
+        import can
+
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            with suppress(can.CanError, OSError):  # of a link that has ended
+                bus.shutdown()
 
     def _fail(self, what: str, error: Exception) -> None:
         if not self._failing:
             self._failing = True
+            self._reopen_s = time.monotonic() + _REOPEN_S
             _LOG.warning("%s: %s; the node continues when the bus works again", what, cause(error))

@@ -6,6 +6,7 @@ import math
 import struct
 import threading
 from collections.abc import Iterator
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import can
@@ -51,6 +52,28 @@ def test_a_link_that_ends_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
             until(lambda: connection.notifier.exception)
             with pytest.raises(EnvironmentLackError, match=r"reset by peer$"):
                 find_nodes(connection, [1], 0.0)
+
+
+def test_a_node_opens_a_link_that_ended_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once it has failed for a second, and until it opens; the old one is closed before, also where that fails."""
+    now_s = 10.0
+    clock = SimpleNamespace(monotonic=lambda: now_s, sleep=lambda _seconds: None)
+    monkeypatch.setattr("canopen_device.running.open_bus.time", clock)
+    failed = can.CanOperationError("Could not read from serial device")
+    ended = Mock(recv=Mock(side_effect=failed), shutdown=Mock(side_effect=failed))
+    frame = can.Message(arbitration_id=0x80, is_extended_id=False)
+    reopen = Mock(side_effect=[EnvironmentLackError("refused"), new := Mock(recv=Mock(return_value=frame))])
+    port = PythonCanPort(ended, reopen)
+    assert port.receive(0.0) is None
+    assert not reopen.called
+    for calls in (1, 2):
+        now_s += 1.0
+        assert port.receive(0.0) is None
+        port.send([(0x181, b"")])
+        assert reopen.call_count == calls
+    assert ended.shutdown.call_count == 1
+    assert new.send.call_count == 1
+    assert port.receive(0.0) == (0x80, b"")
 
 
 def test_a_sync_for_one_reading_is_no_producer(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -118,4 +118,4 @@ def open_port(**options: Any) -> tuple[SocketCanPort | PythonCanPort, str]:
                 "`tipforce vcan -- ...` provides vcan"
             ) from error
     bus = open_bus(**options)
-    return PythonCanPort(bus), str(bus.channel_info)
+    return PythonCanPort(bus, lambda: open_bus(**options)), str(bus.channel_info)
