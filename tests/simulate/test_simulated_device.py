@@ -1,7 +1,10 @@
 """A simulated device without a bus: values by name, events, faults; a machine in TOML and its connections."""
 
+import itertools
 import math
 import struct
+import threading
+import time
 from pathlib import Path
 
 import can
@@ -294,6 +297,23 @@ def test_a_device_joins_the_bus_of_its_master(given: str) -> None:
     network.disconnect()
     if given == "tipforce":
         opened.close()
+
+
+def test_the_block_begins_when_the_boot_up_is_sent_however_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    class SlowBus:
+        def send(self, message: can.Message) -> None:
+            early.append(block.wait(0.2))
+            sent.append(message.arbitration_id)
+
+        def recv(self, timeout_s: float) -> None:
+            block.wait(timeout_s)
+
+    block, early, sent = threading.Event(), list[bool](), list[int]()
+    hours = itertools.count(3600.0, 3600.0)
+    monkeypatch.setattr(time, "monotonic", lambda: next(hours))  # this thread hardly ever runs
+    with tipforce.simulated_device("cia402", 5, SlowBus()):
+        block.set()
+    assert (sent[0], early[0]) == (0x705, False)
 
 
 def test_an_error_of_an_application_reaches_the_test() -> None:

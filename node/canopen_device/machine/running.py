@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 CIA402 = "cia402"
 _numbers = itertools.count()
-_BOOT_S = 5.0
 
 
 def shipped_eds(name: str) -> Path:
@@ -126,8 +125,8 @@ def simulated_devices(devices: Sequence[SimulatedDevice], bus: Any = None) -> It
         device.shared, device.bus_options = True, options
     try:
         with loop.running(devices, PythonCanPort(connection)) as thread:
-            limit_s = time.monotonic() + _BOOT_S
-            while thread.is_alive() and time.monotonic() < limit_s and any(device.now_s <= 0.0 for device in devices):
+            # Time passes for a device from its second step on: then its boot-up message is sent.
+            while thread.is_alive() and any(device.now_s <= 0.0 for device in devices):
                 time.sleep(0.001)
             yield devices
     finally:
