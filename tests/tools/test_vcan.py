@@ -184,6 +184,22 @@ def test_a_timeout_or_a_signal_ends_the_command(
     assert main(["vcan", "--timeout", "30", "--", "sh", "-c", signals]) == 130
 
 
+@needs_bash
+def test_a_namespace_is_found_by_attach_only_when_its_buses_are_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for program in ("mount", "ip"):
+        (tmp_path / program).write_text(f"#!/bin/sh\nsleep 0.1; cat {tmp_path}/*/{host.PROCESS} 2>/dev/null; true\n")
+        (tmp_path / program).chmod(0o755)
+    monkeypatch.setattr(host, "short_temporary_folder", lambda: str(tmp_path))
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    command = ["sh", "-c", f"echo $$ $TIPFORCE_VCAN_PROCESS; cat {tmp_path}/*/{host.PROCESS}"]
+    words = host.namespace_command(["a0", "b1"], command)
+    assert host.run_here(words[words.index("bash") :]) == 0  # all but the namespace
+    own, found = capfd.readouterr().out.splitlines()
+    assert own == found
+
+
 # User-mode Linux: all but the boot
 
 
@@ -298,13 +314,20 @@ def test_a_halt_that_hangs_does_not_hold_up_the_exit(boot: Boot, monkeypatch: py
 def test_a_timeout_or_a_signal_ends_the_whole_group(
     boot: Boot, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert boot("touch started; sleep 60 & echo $! >&$out; sleep 60", timeout_s=0.5) == 1
+    assert boot("sleep 60 & echo $! >&$out; touch started; sleep 60", timeout_s=0.5) == 1
     printed = capfd.readouterr()
     assert "ended after 0.5 s (--timeout)" in printed.err
     assert ended(int(printed.out))
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as `tipforce` does for each command
-    assert boot(f"touch started; echo $$ >{tmp_path}/pid; sleep 0.3; kill -TERM {os.getpid()}; sleep 60") == 130
+    more_than_a_pipe_holds = "head -c 200000 /dev/zero >&$out"  # so it ends when the output is followed
+    script = f"touch started; echo $$ >{tmp_path}/pid; {more_than_a_pipe_holds}; kill -TERM {os.getpid()}; sleep 60"
+    assert boot(script) == 130
     assert ended(int((tmp_path / "pid").read_text()))
+
+
+def test_the_time_of_the_command_begins_when_it_does_and_ends_though_it_has_ever_more_to_say(boot: Boot) -> None:
+    assert boot("sleep 0.5; echo 7 >status; touch started", timeout_s=0.1) == 7
+    assert boot("touch started; while :; do echo; done >&$out", timeout_s=0.2) == 1
 
 
 def ended(process: int) -> bool:
@@ -313,6 +336,27 @@ def ended(process: int) -> bool:
         return Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
     except (FileNotFoundError, ProcessLookupError):
         return True
+
+
+def test_an_attached_command_that_ends_as_its_machine_does_keeps_its_exit_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Output(io.StringIO):
+        def flush(self) -> None:
+            for folder in (*tmp_path.glob("attach-*"), tmp_path):
+                (folder / "status").write_text("7\n")
+
+        def fileno(self) -> int:
+            return 1
+
+    monkeypatch.setattr(sys, "stdout", Output())
+    assert uml._in_machine(tmp_path, ["true"], None) == 7
+
+
+def test_a_run_that_ends_while_attach_looks_for_one_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Path, "glob", lambda *_: [tmp_path / "gone"])
+    with pytest.raises(EnvironmentLackError, match="no `tipforce vcan` of yours runs"):
+        uml.run_attached(["true"], list)
 
 
 # The library preloaded into User-mode Linux: what it does to ptrace(), and what is said where it cannot be built

@@ -19,7 +19,8 @@ INTERRUPTED = 130
 PREFIX = "tipforce-vcan-"
 """Of the folder of a run, in the folder of temporary files."""
 PROCESS = "process"
-"""The file in it with the number of a process on this kernel."""
+"""The file in it with the number of a process on this kernel, for which the buses are up."""
+_PROCESS_FILE = "TIPFORCE_VCAN_PROCESS"
 ELSEWHERE = (
     "`tipforce demo`, the library and the log tools work without vcan, and nodes and hosts on UDP: "
     "-i udp_multicast -c 239.74.163.2; vcan works on any machine whose kernel has it (`sudo modprobe vcan`)"
@@ -37,6 +38,7 @@ mount -t sysfs sysfs /sys 2>/dev/null || true
 ip link set lo up
 while [ "$1" != -- ]; do ip link add dev "$1" type vcan; ip link set up "$1"; shift; done
 shift
+if [ "$TIPFORCE_VCAN_PROCESS" ]; then echo $$ >"$TIPFORCE_VCAN_PROCESS"; unset TIPFORCE_VCAN_PROCESS; fi
 exec -- "$@"
 """
 
@@ -98,17 +100,24 @@ def short_temporary_folder() -> str:
 def run_here(command: Sequence[str], timeout_s: float | None = None) -> int:
     """Run `command` on this kernel with this terminal and environment; return its exit code (128 + n for signal n). 130
     after SIGINT or SIGTERM; 1, with a message, after the timeout; 126 or 127 when it cannot be started."""
+    with tempfile.TemporaryDirectory(prefix=PREFIX, dir=short_temporary_folder()) as folder:
+        return _run(command, timeout_s, Path(folder, PROCESS))  # `tipforce vcan --attach` finds it there
+
+
+def _run(command: Sequence[str], timeout_s: float | None, process_file: Path) -> int:
+    # A process that makes its buses enters its number itself, when they are up.
+    environment = {**os.environ, _PROCESS_FILE: str(process_file)} if _MAKE_BUSES in command else None
     # On a terminal the command must stay in the foreground process group, which receives Ctrl-C.
     own_group = sys.stdin is None or not sys.stdin.isatty()
     try:
-        process = subprocess.Popen(list(command), process_group=0 if own_group else None)
+        process = subprocess.Popen(list(command), process_group=0 if own_group else None, env=environment)
     except OSError as error:
         print(f"tipforce vcan: {command[0]}: {error.strerror}", file=sys.stderr)
         return 127 if isinstance(error, FileNotFoundError) else 126
     try:
-        with tempfile.TemporaryDirectory(prefix=PREFIX, dir=short_temporary_folder()) as folder:
-            Path(folder, PROCESS).write_text(str(process.pid))  # `tipforce vcan --attach` finds it there
-            code = process.wait(timeout_s)
+        if environment is None:
+            process_file.write_text(str(process.pid))
+        code = process.wait(timeout_s)
         return code if code >= 0 else 128 - code
     except subprocess.TimeoutExpired:
         print(f"tipforce vcan: the command was ended after {timeout_s:g} s (--timeout)", file=sys.stderr)

@@ -138,21 +138,25 @@ class _Machine:
     def follow(self, timeout_s: float | None) -> int:
         """Copy the output until the machine has halted; return the command's exit code."""
         begin = quiet_since = said = time.monotonic()
+        started: float | None = None  # the command's time begins when it does
         while True:
             ended = self.process.poll() is not None
             now = time.monotonic()
-            if now - said > _LINE_S and self._file("started") is None:
+            if started is None and self._file("started") is not None:
+                started = now
+            if started is None and now - said > _LINE_S:
                 said = now
                 print(f"tipforce vcan: User-mode Linux boots, {now - begin:.0f} s\r", file=sys.stderr)
             if self._copy_output():
                 quiet_since = time.monotonic()
             elif ended or (self._file("status") and now - quiet_since > HALT_LIMIT_S):
                 return self._exit_code()
-            elif timeout_s is not None and now - begin > timeout_s and not self._file("status"):
+            if started is None and now - begin > BOOT_LIMIT_S:
+                raise self._failure(f"User-mode Linux did not boot within {BOOT_LIMIT_S:g} s ({ELSEWHERE})")
+            late = started is not None and timeout_s is not None and now - started > timeout_s
+            if late and not self._file("status"):
                 print(f"tipforce vcan: the command was ended after {timeout_s:g} s (--timeout)", file=sys.stderr)
                 return 1
-            elif now - begin > BOOT_LIMIT_S and self._file("started") is None:
-                raise self._failure(f"User-mode Linux did not boot within {BOOT_LIMIT_S:g} s ({ELSEWHERE})")
 
     def _copy_output(self) -> bool:
         """Pass on output, with a short wait; return False if none arrived."""
@@ -288,10 +292,14 @@ def run_with_vcan(
 def run_attached(command: Sequence[str], shell: Callable[[], list[str]], timeout_s: float | None = None) -> int:
     """Run ``command``, or ``shell()``, on the buses of the user's latest `tipforce vcan`; return its exit code. Raises
     EnvironmentLackError if none runs."""
-    folders = sorted(Path(short_temporary_folder()).glob(f"{PREFIX}*"), key=lambda path: path.stat().st_mtime)
-    for folder in reversed([folder for folder in folders if folder.stat().st_uid == os.geteuid()]):
+    folders = []
+    for folder in Path(short_temporary_folder()).glob(f"{PREFIX}*"):
+        with contextlib.suppress(FileNotFoundError):  # its run has ended meanwhile
+            found = folder.stat()
+            folders += [(found.st_mtime, folder)] if found.st_uid == os.geteuid() else []
+    for _, folder in sorted(folders, reverse=True):
         of_namespace, of_machine = folder / host.PROCESS, folder / "machine" / "pid"
-        process = next((path.read_text().strip() for path in (of_namespace, of_machine) if path.exists()), "")
+        process = _text(of_namespace) or _text(of_machine)
         if not process or not Path("/proc", process).exists():  # it was killed
             continue
         if of_namespace.exists():
@@ -313,16 +321,25 @@ def _in_machine(folder: Path, command: Sequence[str], timeout_s: float | None) -
     with (place / "stdout").open("w+b") as out, (place / "stderr").open("w+b") as err, _terminal_kept(terminal):
         (place / "ready").touch()
         while True:
-            status = (place / "status").read_text() if (place / "status").exists() else ""
+            # In this order: what the command left before the machine ended counts.
+            over = not folder.exists() or (folder / "status").exists() or time.monotonic() > end_s
+            status = _text(place / "status")
             for file, stream in ((out, sys.stdout), (err, sys.stderr)):
                 stream.flush()
                 os.write(stream.fileno(), file.read())
-            if status.strip():
+            if status:
                 return int(status)
-            if not folder.exists() or (folder / "status").exists() or time.monotonic() > end_s:
+            if over:
                 print("tipforce vcan: the command was ended, with its machine or after --timeout\r", file=sys.stderr)
                 return 1
             time.sleep(_LOOK_S)
+
+
+def _text(file: Path) -> str:
+    """Return the words of a file; empty while there is none."""
+    with contextlib.suppress(FileNotFoundError):
+        return file.read_text().strip()
+    return ""
 
 
 def _console(folder: Path) -> str:
