@@ -3,6 +3,7 @@
 import os
 import pty
 import resource
+import select
 import subprocess
 import sys
 import tempfile
@@ -86,6 +87,16 @@ def test_doctor_tries_it() -> None:
     assert check.finding.startswith("`tipforce vcan` works: vcan0 and vcan1, ")
 
 
+def read_until(terminal: int, wanted: bytes, shell: subprocess.Popen[bytes]) -> None:
+    """Read what a shell shows until it is ``wanted``. Raises AssertionError if it ends, or after 120 s."""
+    shown, over, deadline = b"", False, time.monotonic() + 120.0
+    while wanted not in shown:
+        assert not over, shown
+        over = shell.poll() is not None or time.monotonic() > deadline  # before the last look
+        while select.select([terminal], [], [], 0.1)[0]:
+            shown += os.read(terminal, 65536)
+
+
 def test_a_command_is_attached_to_a_running_machine(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -111,12 +122,10 @@ def test_a_command_is_attached_to_a_running_machine(
                 env={**os.environ, "TMPDIR": folder, "HOME": folder, "SHELL": "/bin/bash"},
                 stdin=theirs, stdout=theirs, stderr=theirs,
             )  # fmt: skip
-            shown = b""
-            while b"# " not in shown:  # the prompt; what is typed before it may be lost
-                shown += os.read(ours, 65536)
+            read_until(ours, b"# ", shell)  # the prompt; what is typed before it may be lost
             os.write(ours, b"cat /sys/class/net/vcan1/type; tty; stty size; exit 9\n")
+            read_until(ours, b"280\r\n/dev/tty3\r\n40 100\r\n", shell)
             assert shell.wait(120.0) == 9
-            assert b"280\r\n/dev/tty3\r\n40 100\r\n" in os.read(ours, 65536)
             os.close(ours)
             os.close(theirs)
             assert machine.poll() is None
