@@ -19,14 +19,14 @@ from minimal import MinimalDevice
 
 def serve():
     device, start = MinimalDevice(), time.monotonic_ns()
-    with can.Bus(interface="virtual", channel="alone") as bus:
+    with bus:
         while not ended.is_set():
             message = bus.recv(0.001)
             frames = [(message.arbitration_id, bytes(message.data))] if message else []
             for can_id, data in device.step((time.monotonic_ns() - start) // 1000, frames)[0]:
                 bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
-ended = threading.Event()
+ended, bus = threading.Event(), can.Bus(interface="virtual", channel="alone")
 thread = threading.Thread(target=serve)
 thread.start()
 code = main(["--node-id", "5", "-i", "virtual", "-c", "alone", "--case", "identity.*", "--tolerance", "1000"])

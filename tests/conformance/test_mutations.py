@@ -1,5 +1,6 @@
 """Deliberate faults in the device: each is noticed by a case; and what the standard permits is no failure."""
 
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -290,3 +291,12 @@ def test_what_has_no_end_ends_a_case(run: Callable[[Dut], object], monkeypatch: 
     with pytest.raises(CheckError):
         run(Dut(link, NODE_ID))
     assert babbling.receive(babbling.now_us() - 2_000_000) is None
+
+
+def test_a_frame_that_came_in_time_is_read_however_long_the_suite_stood_still(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s, waiting = [100], [can.Message(arbitration_id=0x585, data=bytes(8), is_extended_id=False)]
+    monkeypatch.setattr(time, "monotonic_ns", lambda: now_s[0] * 10**9)
+    link = BusLink(Mock(recv=lambda _timeout_s: waiting.pop() if waiting else None))
+    until_us = link.now_us() + 200_000
+    now_s[0] += 60
+    assert [link.receive(until_us) is None for _ in range(2)] == [False, True]

@@ -135,6 +135,10 @@ class CoreLink:
         self._queue.extend(Frame(can_id, data, self._now_us) for can_id, data in sent)
 
 
+def _now_us() -> int:
+    return time.monotonic_ns() // 1000
+
+
 class BusLink:
     """A python-can bus with a device on it, and the machine's clock."""
 
@@ -143,10 +147,12 @@ class BusLink:
     def __init__(self, bus: can.BusABC, tolerance_ms: int = DEFAULT_TOLERANCE_MS) -> None:
         self._bus = bus
         self.tolerance_ms = tolerance_ms
+        self._looked_us = self._drained_us = 0
 
     def now_us(self) -> int:
         """Microseconds of the monotonic clock."""
-        return time.monotonic_ns() // 1000
+        self._looked_us = _now_us()
+        return self._looked_us
 
     def send(self, can_id: int, data: bytes) -> None:
         """Send a frame. Raises LostDeviceError if the bus accepts nothing for a second."""
@@ -166,14 +172,18 @@ class BusLink:
 
     def receive(self, until_us: int) -> Frame | None:
         """Return the next classic CAN frame; long after ``until_us`` none, even of a bus that has ever more."""
-        while (left_us := until_us - self.now_us()) > -_DRAIN_US:
-            message = self._bus.recv(max(0.0, left_us * 1e-6))
+        while True:
+            looked_us, now_us = self._looked_us, self.now_us()
+            if looked_us <= until_us < now_us:  # however late this is seen: the process may have stood still
+                self._drained_us = now_us + _DRAIN_US
+            if now_us > max(until_us, self._drained_us):
+                return None
+            message = self._bus.recv(max(0.0, (until_us - now_us) * 1e-6))
             if message is None:
                 return None
             if not (message.is_fd or message.is_error_frame):
                 flags = EXTENDED_FLAG * message.is_extended_id | REMOTE_FLAG * message.is_remote_frame
-                return Frame(message.arbitration_id | flags, bytes(message.data), self.now_us())
-        return None
+                return Frame(message.arbitration_id | flags, bytes(message.data), _now_us())
 
 
 Link: TypeAlias = CoreLink | BusLink
