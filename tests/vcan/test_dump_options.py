@@ -175,8 +175,8 @@ def test_silence_ends_both(tmp_path: Path) -> None:
     with ExitStack() as stack, fd_bus() as bus:
         with kept_busy(bus):
             ((dump, output),) = start(stack, [["-T", "3000", "-L", EVERYTHING]], tmp_path)
-        for frame in traffic()[:5]:
-            bus.send(frame)
+            for frame in traffic()[:5]:  # before the silence
+                bus.send(frame)
         assert dump.wait() == 0
         wait_until(lambda: sockets_listening() == 0, "candump goes on")
         ours, theirs = (
