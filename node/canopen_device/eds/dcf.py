@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 
 from canopen_device.eds.description import Description
 from canopen_device.eds.reader import listed
-from canopen_device.eds.sections import EdsFile, parse
+from canopen_device.eds.sections import EdsFile, Section, parse
 from canopen_device.types import Value, format_value
 
 _COMMISSIONING = "devicecomissioning"  # this is the spelling of CiA 306
@@ -22,9 +22,11 @@ def dcf_text(described: Description, values: Mapping[tuple[int, int], Value]) ->
         if text and not described.is_dcf and not part.get("DefaultValue"):  # it is the default, see ``reader``
             part.keys["defaultvalue"], part.written["defaultvalue"] = text, "DefaultValue"
     without = {index for index, _ in values} - file.objects.keys() - file.subs.keys()  # such as those of CompactPDO
+    listed_defaults = {i for i in described.objects if not described.is_dcf and _lists_values(file, i)}
+    written_out = without | listed_defaults  # the list of a DCF has values alone
     for (index, sub), value in sorted(values.items()):
         section = file.entry(index, sub) if sub == 0 or index in file.subs else None
-        if index in without:
+        if index in written_out:
             continue
         if section is None:
             known = file.lists.get(index, {}).get("value")  # its other entries stay as they are
@@ -33,20 +35,36 @@ def dcf_text(described: Description, values: Mapping[tuple[int, int], Value]) ->
             section.keys["parametervalue"] = _text(described, index, sub, value)
             section.written["parametervalue"] = "ParameterValue"
     _list_objects(file, without)
-    lines: list[str] = []
+    lines = _section_lines(file, sections.values(), lists, listed_defaults)
+    lines += [line for index in sorted(written_out) for line in _object_lines(described, index, values)]
+    commissioning = ["[DeviceComissioning]", f"NodeID={described.node_id}", f"NodeName={described.node_name}"]
+    if described.bit_rate is not None:
+        commissioning.append(f"Baudrate={described.bit_rate // 1000}")
+    return "\n".join([*lines, *commissioning, "CANopenManager=0", ""])
+
+
+def _section_lines(
+    file: EdsFile, sections: Iterable[Section], lists: Mapping[int, Mapping[int, str]], left_out: Iterable[int]
+) -> list[str]:
+    """Return the lines of the sections without those of ``left_out``; ``lists``: new lists of values, by index."""
     replaced = {id(part["value"]) for index, part in file.lists.items() if index in lists and "value" in part}
+    for index in left_out:
+        own = file.objects[index], *file.lists[index].values(), *file.subs.get(index, {}).values()
+        replaced.update(map(id, own))
     behind = {id(part): lists[index] for index, part in file.objects.items() if index in lists}
-    for part in sections.values():
+    lines: list[str] = []
+    for part in sections:
         if id(part) not in replaced:
             lines += part.text_lines()
         if id(part) in behind:  # the list of the values of a compact object stands behind its section
             texts = [f"{sub}={text}" for sub, text in sorted(behind[id(part)].items())]
             lines += [f"[{part.name}Value]", f"NrOfEntries={len(texts)}", *texts, ""]
-    lines += [line for index in sorted(without) for line in _object_lines(described, index, values)]
-    commissioning = ["[DeviceComissioning]", f"NodeID={described.node_id}", f"NodeName={described.node_name}"]
-    if described.bit_rate is not None:
-        commissioning.append(f"Baudrate={described.bit_rate // 1000}")
-    return "\n".join([*lines, *commissioning, "CANopenManager=0", ""])
+    return lines
+
+
+def _lists_values(file: EdsFile, index: int) -> bool:
+    section = file.objects.get(index)
+    return section is not None and bool(section.get("CompactSubObj")) and "value" in file.lists.get(index, {})
 
 
 def _list_objects(file: EdsFile, indices: Iterable[int]) -> None:
@@ -67,6 +85,10 @@ def _object_lines(described: Description, index: int, values: Mapping[tuple[int,
     for sub, entry in sorted(added.entries.items()):
         lines += [f"[{index:04X}sub{sub:X}]", f"ParameterName={entry.name}", f"DataType=0x{entry.type.code:04X}"]
         lines += [f"AccessType={entry.access}", f"DefaultValue={_text(described, index, sub, entry.default)}"]
+        facts = ("PDOMapping", int(entry.mappable)), ("ObjFlags", entry.flags), ("Unit", entry.unit)
+        limits = {"LowLimit": entry.low, "HighLimit": entry.high}
+        lines += [f"{key}={fact}" for key, fact in (*facts, ("Denotation", entry.denotation)) if fact]
+        lines += [f"{key}={format_value(entry.letter, end)}" for key, end in limits.items() if end is not None]
         if (index, sub) in values:
             lines.append(f"ParameterValue={_text(described, index, sub, values[index, sub])}")
         lines.append("")
