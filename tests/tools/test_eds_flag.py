@@ -254,7 +254,7 @@ def test_settings_survive_a_file(tmp_path: Path, printed: Printed) -> None:
     own = path.read_text() + "[DeviceComissioning]\nNodeID=5\n"
     for section in ("[1010sub1]", "[2003]"):  # read from a device by another tool: no settings
         own = own.replace(f"{section}\n", f"{section}\nParameterValue=1\n")
-    dcf.write_text(own.replace("[2100Value]\nNrOfEntries=2\n1=11", "[2100Value]\nNrOfEntries=2\n1=12"))
+    dcf.write_text(own.replace("NrOfEntries=2\n1=11", "NrOfEntries=2\n1=12 ; left: not in use"))
     other = tmp_path / "other.dcf"
     other.write_text(own.replace("NodeID=5", "NodeID=6").replace("[2001]\n", "[2001]\nParameterValue=2\n"))
     toml.write_text("[objects]\nP1005 = 0x40000081\nP1006 = 1000000\nP1014 = 0x390\nP1019 = 10\nP2002 = ' '\n"

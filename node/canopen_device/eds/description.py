@@ -15,7 +15,6 @@ _NUMERIC = re.compile(
     r"(?:0[xX]([0-9a-fA-F]{1,4})|([0-9a-fA-F]{1,4})[hH])(?:\s*[:./]\s*(?:0[xX])?([0-9a-fA-F]{1,2})[hH]?)?"
 )
 COUNTED = re.compile(r"(.+):(\d+)")  # an object by its name, and a sub-index
-OTHER = re.compile(r".*: (not in .*|.*; read as 0)", re.DOTALL)  # of a remark: the value is not that of the text
 MOST_ENTRIES = 100_000
 """Entries of a device: large devices have some thousands; few lines with CompactSubObj and CompactPDO count many."""
 
@@ -27,7 +26,7 @@ MOST_VALUE_BYTES = 64 << 20
 class Entry:
     """One sub-index. ``default`` and ``value`` (None without one) include the node-id; ``directions``: flags TPDO, RPDO
     of the PDOs that may map it; ``access``: ro, wo, rw, rwr, rww or const; ``letter`` one of ``types``; ``remark``: on
-    the text of ``initial``, behind its line."""
+    the text of ``initial``, behind its line; ``is_other``: ``initial`` is not the value of that text."""
 
     index: int
     sub: int
@@ -43,6 +42,7 @@ class Entry:
     has_default: bool = True
     value: Value | None = None
     remark: str = ""
+    is_other: bool = False
     flags: int = 0
     unit: str = ""
     denotation: str = ""

@@ -149,7 +149,8 @@ class _Reader:
             name = self._name(self._section, name)
         made = Object(self._index, name, code, self._own.line)
         if code in (eds.VAR, eds.DOMAIN):
-            made.entries[0] = self._into.take(self._entry(0, self._own, name, code == eds.DOMAIN))
+            entry = made.entries[0] = self._into.take(self._entry(0, self._own, name, code == eds.DOMAIN))
+            made.code = eds.VAR if entry.type.size is not None else code
             return made
         if self._compact:
             self._read_compact(made, self._own, self._compact)
@@ -213,7 +214,7 @@ class _Reader:
             entry.denotation = texts.get("denotation", {}).get(sub) or ""
             text = texts.get("value", {}).get(sub)
             if text is not None:
-                value, has_node_id, remark = values.typed(entry.type, text, self._into.node_id)
+                value, has_node_id, remark, entry.is_other = values.typed(entry.type, text, self._into.node_id)
                 entry.remark = lists["value"].say(str(sub), remark)
                 if self._into.is_dcf:
                     entry.value = value
@@ -266,6 +267,8 @@ class _Reader:
             unit=section.get("Unit") or section.get("Units") or "", denotation=section.get("Denotation") or "",
             mappable=read_key(section, "PDOMapping"), flags=read_key(section, "ObjFlags"),
         )  # fmt: skip
+        if is_domain and entry.type.size is not None:
+            section.say("ObjectType", f"a DOMAIN has DataType 0x000F; read as a VAR of {entry.type.name}")
         self._read_values(entry, section)
         self._read_limits(entry, section)
         return entry
@@ -332,12 +335,14 @@ class _Reader:
             if name and entry.type.python is bytes:
                 content, wrong = file_content(self._into.path, name)
                 section.say(key, wrong)
-                entry.value = entry.value if content is None else content
+                if content is not None:
+                    entry.value, entry.is_other = content, False
             elif name:
                 section.say(key, f"only a DOMAIN has a file, not {entry.type.name}; not read")
 
     def _value(self, entry: Entry, section: Section, key: str) -> tuple[Value, bool]:
-        value, has_node_id, remark = values.typed(entry.type, section.get(key) or "", self._into.node_id)
+        text = section.get(key) or ""
+        value, has_node_id, remark, entry.is_other = values.typed(entry.type, text, self._into.node_id)
         entry.remark = section.say(key, remark)
         return value, has_node_id
 

@@ -11,7 +11,6 @@ from canopen_device.types import DataType, Value
 _NODE_ID = re.compile(r"\$?\s*node_?id", re.IGNORECASE)
 _HEX = re.compile(r"0x([0-9a-f]+)", re.IGNORECASE)
 _AROUND = "\"'() "  # what some tools write around a number
-_AS_ZERO = "read as 0"
 _READ = "{}"  # in a remark: the number with its sign
 _FORMS = (  # of an unsigned integer, the first that fits: pattern, base, remark
     (_HEX, 16, ""),
@@ -33,6 +32,15 @@ class Read(NamedTuple):
     value: int | None
     has_node_id: bool = False
     remark: str = ""
+
+
+class Typed(NamedTuple):
+    """A value of a data type, whether $NODEID is in it, a remark, and whether the value is not that of the text."""
+
+    value: Value
+    has_node_id: bool = False
+    remark: str = ""
+    is_other: bool = False
 
 
 def uncommented(text: str) -> tuple[str, str]:
@@ -95,66 +103,72 @@ def _unsigned(digits: str) -> tuple[int | None, str]:
     return None, "not an integer"
 
 
-def typed(kind: DataType, text: str, node_id: int) -> tuple[Value, bool, str]:
-    """Read a value of a type: the value, whether $NODEID is in it, and a remark. Empty text is 0 or empty."""
+def typed(kind: DataType, text: str, node_id: int) -> Typed:
+    """Read a value of a type. Empty text is 0 or empty."""
     if kind.python is int:
         return _integer(kind, text, node_id)
     if kind.letter == "s":
         shown = text.encode("latin-1", "replace").decode("latin-1")
-        return shown, False, "" if shown == text else f"not in {kind.name}; read with ? for other characters"
+        remark = "" if shown == text else f"not in {kind.name}; read with ? for other characters"
+        return Typed(shown, False, remark, shown != text)
     if kind.letter == "u":
-        return text, False, ""
-    value, remark = _real(kind, text) if kind.python is float else _bytes(kind, text)
-    return value, False, remark
+        return Typed(text)
+    return _real(kind, text) if kind.python is float else _bytes(kind, text)
+
+
+def _as_zero(zero: Value, problem: str) -> Typed:
+    return Typed(zero, False, f"{problem}; read as 0", True)
 
 
 def limit(kind: DataType, text: str, node_id: int) -> tuple[int | float | None, str]:
     """Read a limit of a numeric type, and a remark; None for what is no such number."""
-    value, _, remark = typed(kind, text, node_id)
-    if remark.endswith(_AS_ZERO) or remark.startswith("not in ") or not isinstance(value, int | float):
+    value, _, remark, is_other = typed(kind, text, node_id)
+    if is_other or not isinstance(value, int | float):
         return None, remark.partition("; read as ")[0] + "; the limit does not apply"
     return value, remark
 
 
-def _integer(kind: DataType, text: str, node_id: int) -> tuple[int, bool, str]:
+def _integer(kind: DataType, text: str, node_id: int) -> Typed:
     if not text:
-        return 0, False, ""
+        return Typed(0)
     value, has_node_id, remark = integer(text, node_id)
     if value is None:
-        return 0, False, f"{remark}; {_AS_ZERO}"
+        return _as_zero(0, remark)
     low, high = kind.limits or (0, 0)
     if low <= value <= high:
-        return value, has_node_id, remark
+        return Typed(value, has_node_id, remark)
     bits = 8 * (kind.size or 0)
     wrapped = (value - low) % (1 << bits) + low
     if kind.letter != "?" and -(1 << bits - 1) <= value < 1 << bits:  # the same bits with the other sign
         as_bits = "x" in text.lower() and low < 0
-        return wrapped, has_node_id, remark if as_bits else f"not in {kind.name}; read as {wrapped}"
+        other = f"not in {kind.name}; read as {wrapped}"
+        return Typed(wrapped, has_node_id, remark if as_bits else other, not as_bits)
     nearest = min(max(value, low), high)
-    return nearest, has_node_id, f"not in {kind.name}, {low} to {high}; read as {nearest}"
+    return Typed(nearest, has_node_id, f"not in {kind.name}, {low} to {high}; read as {nearest}", True)
 
 
-def _real(kind: DataType, text: str) -> tuple[float, str]:
+def _real(kind: DataType, text: str) -> Typed:
     if not text:
-        return 0.0, ""
+        return Typed(0.0)
     plain, remark = uncommented(text)
     if _HEX.fullmatch(plain):
         size = kind.size or 4
         bits = int(plain, 16)
         if bits >> 8 * size:
-            return 0.0, f"more than the {8 * size} bits of {kind.name}; {_AS_ZERO}"
-        return float(struct.unpack("<" + kind.letter, bits.to_bytes(size, "little"))[0]), remark
+            return _as_zero(0.0, f"more than the {8 * size} bits of {kind.name}")
+        real = float(struct.unpack("<" + kind.letter, bits.to_bytes(size, "little"))[0])
+        return Typed(real, False, remark)
     if "," in plain:
         remark, plain = "the decimal sign is a point", plain.replace(",", ".")
     try:
         value = float(plain)
         struct.pack("<" + kind.letter, value)
     except (ValueError, OverflowError):
-        return 0.0, f"not in {kind.name}; {_AS_ZERO}"
-    return value, remark
+        return _as_zero(0.0, f"not in {kind.name}")
+    return Typed(value, False, remark)
 
 
-def _bytes(kind: DataType, text: str) -> tuple[bytes, str]:
+def _bytes(kind: DataType, text: str) -> Typed:
     """Read hexadecimal bytes; a text that is none stands for its own bytes."""
     bare = "".join(text.split()).removeprefix("0x").removeprefix("0X")
     try:
@@ -162,12 +176,12 @@ def _bytes(kind: DataType, text: str) -> tuple[bytes, str]:
     except ValueError:
         data = text.encode("utf-8")
         if kind.size is None:
-            return data, "not hexadecimal bytes; read as text"
+            return Typed(data, False, "not hexadecimal bytes; read as text")
     if kind.size is None or len(data) == kind.size:
-        return data, ""
+        return Typed(data)
     if not data:
-        return bytes(kind.size), ""
+        return Typed(bytes(kind.size))
     number = integer(text).value
     if number is not None and 0 <= number < 1 << 8 * kind.size:
-        return number.to_bytes(kind.size, "little"), ""
-    return bytes(kind.size), f"not {kind.size} bytes; {_AS_ZERO}"
+        return Typed(number.to_bytes(kind.size, "little"))
+    return _as_zero(bytes(kind.size), f"not {kind.size} bytes")

@@ -141,7 +141,6 @@ def read_configuration(
 def _of_dcf(
     path: str | Path, node_id: int, known: DeviceObjects, note: Callable[[str], object]
 ) -> Iterator[tuple[str, Value]]:
-    from canopen_device.eds.description import OTHER
     from canopen_device.eds.reader import read_eds
 
     described = read_eds(path, node_id)
@@ -150,7 +149,7 @@ def _of_dcf(
     for of in described.entries():
         is_fact = of.access in ("ro", "const") or (isinstance(known, EdsObjects) and known.refuses_write(of))
         if of.value is not None and not is_fact:
-            if OTHER.fullmatch(of.remark):
+            if of.is_other:
                 raise InputError(f"{path}:{of.remark.partition('; ')[0]}")
             yield of.place, of.value
 
