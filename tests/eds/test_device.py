@@ -3,6 +3,7 @@
 import math
 import struct
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,9 @@ import pytest
 import canopen_device
 from canopen_device.core import codes
 from canopen_device.core.emcy import GENERIC
+from canopen_device.core.storage import with_crc
 from canopen_device.eds.dcf import dcf_text
+from canopen_device.eds.description import VAR
 from canopen_device.errors import InputError
 from canopen_device.testing import Conversation, MemoryStore
 from canopen_device.types import Value
@@ -172,13 +175,28 @@ def test_node_id_expressions_follow_the_node_id(tmp_path: Path, expression: str)
     assert talk.device.od.values[0x200000] == 0x187
 
 
+COMPACT = (
+    "[2100]\nParameterName=Gain\nObjectType=8\nDataType=6\nAccessType=rw\nDefaultValue=7\nPDOMapping=1\n"
+    "CompactSubObj=4\nHighLimit=99\n[2100Name]\nNrOfEntries=1\n2=Second\n[2100Value]\nNrOfEntries=2\n3=0x33\n4=9\n"
+    "[2100Denotation]\nNrOfEntries=1\n1=left\n"
+)
+
+
+@pytest.mark.parametrize("values", [{}, {(0x2100, 1): 5, (0x2100, 4): 6}])
+def test_a_dcf_keeps_the_defaults_that_an_eds_lists_for_a_compact_array(
+    values: dict[tuple[int, int], Value], tmp_path: Path
+) -> None:
+    found = sound(tmp_path, text(COMPACT))
+    again = sound(tmp_path, dcf_text(found, values), None, "saved.dcf")
+    assert {entry.place: entry.value for entry in again.entries() if entry.value is not None} == {
+        f"0x{index:04X}:{sub:02X}": value for (index, sub), value in values.items()
+    }
+    plain = [replace(entry, line=0, value=None, has_default=True) for entry in again.entries()]
+    assert plain == [replace(entry, line=0, has_default=True) for entry in found.entries()]
+
+
 def test_compact_arrays_have_names_values_and_denotations(tmp_path: Path) -> None:
-    compact = (
-        "[2100]\nParameterName=Gain\nObjectType=8\nDataType=6\nAccessType=rw\nDefaultValue=7\nPDOMapping=1\n"
-        "CompactSubObj=4\n[2100Name]\nNrOfEntries=1\n2=Second\n[2100Value]\nNrOfEntries=2\n3=0x33\n4=9\n"
-        "[2100Denotation]\nNrOfEntries=1\n1=left\n"
-    )
-    found = sound(tmp_path, text(compact))
+    found = sound(tmp_path, text(COMPACT))
     entries = found.objects[0x2100].entries
     assert [entries[k].name for k in (1, 2, 3)] == ["Gain1", "Second", "Gain3"]
     assert [entries[k].initial for k in range(5)] == [4, 7, 7, 0x33, 9]
@@ -250,6 +268,35 @@ def test_a_dcf_names_its_node_and_starts_with_its_values(size: int, tmp_path: Pa
     talk.step([(0, b"\x81\x0b")])
     assert od.values[0x200000] == 1
     assert od.values[0x101700] == 0
+
+
+def test_a_store_of_65535_bytes_from_before_longer_ones_is_read(tmp_path: Path) -> None:
+    found = described(tmp_path, text(var("2001", 15), var("2002", 6), record("1010", var("1010sub0", 5, "ro", "1"))))
+    contents = {0x2001: 65535 * b"x", 0x2002: b"\7\0"}
+    records = (struct.pack("<HBH", index, 0, len(data)) + data for index, data in contents.items())
+    store = MemoryStore()
+    store.groups["manufacturer"] = with_crc(b"".join(records))
+    od = Talk(found, store).device.od
+    assert (od.values[0x200100], od.values[0x200200]) == (65535 * b"x", 7)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "is_other"),
+    [(5, "7 ; 8: not in use", False), (5, "300", True), (2, "0x80", False), (6, "on", True), (6, "012", False),
+     (8, "1e99", True), (9, "\u20ac", True), (0xF, "no bytes", False)],
+)  # fmt: skip
+def test_an_entry_says_whether_its_value_is_that_of_the_text(
+    kind: int, value: str, is_other: bool, tmp_path: Path
+) -> None:
+    found = described(tmp_path, DCF + text(var("2000", kind, ParameterValue=value)), None, "axis.dcf")
+    assert found.find(0x2000).is_other is is_other
+
+
+def test_a_domain_with_the_type_of_a_number_is_read_as_that_and_said(tmp_path: Path) -> None:
+    found = described(tmp_path, text(var("2000", 7, default="8").replace("ObjectType=0x7", "ObjectType=0x2")))
+    (warning,) = found.warnings
+    assert warning.endswith("[2000] ObjectType=0x2: a DOMAIN has DataType 0x000F; read as a VAR of UNSIGNED32")
+    assert (found.objects[0x2000].code, found.find(0x2000).default) == (VAR, 8)
 
 
 @pytest.mark.parametrize("name", ["../secret", "{folder}/secret", "missing.bin"])

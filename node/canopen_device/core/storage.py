@@ -168,7 +168,9 @@ def _records(data: bytes) -> "Iterator[tuple[int, int, bytes, bytes]]":
         offset = start - _HEAD_BYTES
         index, sub, length = struct.unpack(_HEAD, data[offset:start])
         if length == _LONG:
-            start, length = start + 4, int.from_bytes(data[start : start + 4], "little")
+            long = int.from_bytes(data[start : start + 4], "little")
+            if _LONG <= long <= len(data) - start - 4:  # else an earlier version wrote it, and it is the length
+                start, length = start + 4, long
         if start + length <= len(data):
             yield index, sub, data[offset:start], data[start : start + length]
         start += length + _HEAD_BYTES
