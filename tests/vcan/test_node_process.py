@@ -1,4 +1,5 @@
-"""Processes and their interface: how a node ends; an interface that goes away, or that has another bit rate or none."""
+"""Processes and what is under them: how a node ends; a clock that is set; an interface that goes away, or that has
+another bit rate or none."""
 
 import itertools
 import os
@@ -87,6 +88,26 @@ def test_node_outlives_its_interface(own_bus: str, tmp_path: Path, away: list[st
         wait_until(lambda: "up again" in node.stderr, "no word that the interface is up again")
         assert node.end() == 0
         assert node.stderr.count(said) == 1
+
+
+@pytest.mark.usefixtures("own_kernel")
+def test_a_clock_that_is_set_moves_nothing(bus: RawBus, tmp_path: Path) -> None:
+    with running_node(tmp_path) as node:
+        bus.start_node()
+        before = time.clock_gettime(time.CLOCK_REALTIME)
+        began = time.monotonic()
+        bus.waiting()  # those of before do not count
+        try:
+            for step_s in (86400.0, -2 * 86400.0, 1e9):
+                time.clock_settime(time.CLOCK_REALTIME, time.clock_gettime(time.CLOCK_REALTIME) + step_s)
+                beats = [bus.until(lambda frame: frame == OPERATIONAL_BEAT) for _ in range(10)]
+                assert all(len(frames) == 1 for frames in beats), "nothing but heartbeats: no EMCY, no burst"
+        finally:
+            time.clock_settime(time.CLOCK_REALTIME, before + time.monotonic() - began)
+        # Thirty heartbeats of 20 ms: less would be a burst after a step forward. The lower bound alone is no timing.
+        assert time.monotonic() - began > 0.5
+        assert bus.answers_a_sync()
+        assert node.end() == 0
 
 
 @pytest.mark.usefixtures("own_kernel")
