@@ -71,27 +71,20 @@ def test_a_stored_node_id_that_cannot_be_is_passed_over(content: bytes) -> None:
     assert serving(store=store).device.node_id == 5
 
 
-def test_network_time_is_known_after_a_time_message_and_runs_on() -> None:
+def test_network_time_is_known_after_a_time_message_in_its_place_and_runs_on() -> None:
     talk = serving()
-    assert talk.device.time.unix_ms() is None
-    # 1984-01-01 is 5113 days after 1970-01-01; the four highest bits of the milliseconds mean nothing.
-    talk.step([(0x100, struct.pack("<IH", 1234 | 0xF << 28, 10))])
-    assert talk.device.time.unix_ms() == 5123 * DAY_MS + 1234
-    talk.advance(2_500_000)
-    assert talk.device.time.unix_ms() == 5123 * DAY_MS + 3734
-    talk.say("")
-
-
-def test_time_is_not_heard_in_stopped_switched_off_or_elsewhere() -> None:
-    talk = serving()
-    talk.say("> 000#0205\n> 100#000000000000\n> 000#8005")
+    talk.say("> 000#0205\n> 100#000000000000\n> 000#8005")  # not heard in STOPPED, nor switched off
     assert talk.put("I", 0x1012, 0, 0x100) == 0
     talk.step([(0x100, bytes(6))])
     assert talk.device.time.unix_ms() is None
-    assert talk.put("I", 0x1012, 0, 0x80000300) == 0
     # 1984-01-01 is 5113 days after 1970-01-01; the four highest bits of the milliseconds mean nothing.
-    talk.step([(0x300, struct.pack("<IH", 1234 | 0xF << 28, 10))])
-    assert talk.device.time.unix_ms() == 5123 * DAY_MS + 1234
+    for can_id in (0x300, 0x100):
+        assert talk.put("I", 0x1012, 0, 0x80000000 | can_id) == 0
+        talk.step([(can_id, struct.pack("<IH", 1234 | 0xF << 28, 10))])
+        assert talk.device.time.unix_ms() == 5123 * DAY_MS + 1234
+    talk.advance(2_500_000)
+    assert talk.device.time.unix_ms() == 5123 * DAY_MS + 3734
+    talk.say("")
 
 
 def test_heartbeats_of_a_process_that_is_late_or_slept() -> None:

@@ -182,19 +182,6 @@ COMPACT = (
 )
 
 
-@pytest.mark.parametrize("values", [{}, {(0x2100, 1): 5, (0x2100, 4): 6}])
-def test_a_dcf_keeps_the_defaults_that_an_eds_lists_for_a_compact_array(
-    values: dict[tuple[int, int], Value], tmp_path: Path
-) -> None:
-    found = sound(tmp_path, text(COMPACT))
-    again = sound(tmp_path, dcf_text(found, values), None, "saved.dcf")
-    assert {entry.place: entry.value for entry in again.entries() if entry.value is not None} == {
-        f"0x{index:04X}:{sub:02X}": value for (index, sub), value in values.items()
-    }
-    plain = [replace(entry, line=0, value=None, has_default=True) for entry in again.entries()]
-    assert plain == [replace(entry, line=0, has_default=True) for entry in found.entries()]
-
-
 def test_compact_arrays_have_names_values_and_denotations(tmp_path: Path) -> None:
     found = sound(tmp_path, text(COMPACT))
     entries = found.objects[0x2100].entries
@@ -225,13 +212,25 @@ def test_compact_pdos_are_made_from_their_count(tmp_path: Path) -> None:
     assert talk.step([(0x80, b"")]) == [(0x185, b"\x34\x12")]
 
 
-def test_a_dcf_has_the_pdos_of_compact_pdo(tmp_path: Path) -> None:
-    info = INFO + "NrOfRXPDO=1\nNrOfTXPDO=2\nCompactPDO=0x13\n"
-    found = described(tmp_path, text(var("1005", 7, "rw", "0x80"), var("2000", 6), info=info))
-    values: dict[tuple[int, int], Value] = {(0x1800, 1): 0x195, (0x1A00, 0): 1, (0x1A00, 1): 0x20000010, (0x2000, 0): 7}
+@pytest.mark.parametrize(
+    ("content", "values"),
+    [
+        (text(SYNC, var("2000", 6), info=INFO + "NrOfRXPDO=1\nNrOfTXPDO=2\nCompactPDO=0x13\n"),
+         {(0x1800, 1): 0x195, (0x1A00, 0): 1, (0x1A00, 1): 0x20000010, (0x2000, 0): 7}),
+        (text(COMPACT), {(0x2100, 1): 5, (0x2100, 4): 6}), (text(COMPACT), {}),
+    ],
+    ids=["CompactPDO", "CompactSubObj", "no value"],
+)  # fmt: skip
+def test_a_dcf_has_the_values_and_keeps_the_defaults(
+    content: str, values: dict[tuple[int, int], Value], tmp_path: Path
+) -> None:
+    found = described(tmp_path, content)
     again = sound(tmp_path, dcf_text(found, values), None, "saved.dcf")
-    assert {place: again.find(place).initial for place in values} == values
-    assert [(e.place, e.default) for e in again.entries()] == [(e.place, e.default) for e in found.entries()]
+    assert {(e.index, e.sub): e.value for e in again.entries() if e.value is not None} == values
+    before, after = (
+        [replace(e, line=0, value=None, has_default=True) for e in each.entries()] for each in (found, again)
+    )
+    assert after == before
 
 
 @pytest.mark.parametrize("allowed", [0, 1])
