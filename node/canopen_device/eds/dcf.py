@@ -22,7 +22,8 @@ def dcf_text(described: Description, values: Mapping[tuple[int, int], Value]) ->
         if text and not described.is_dcf and not part.get("DefaultValue"):  # it is the default, see ``reader``
             part.keys["defaultvalue"], part.written["defaultvalue"] = text, "DefaultValue"
     without = {index for index, _ in values} - file.objects.keys() - file.subs.keys()  # such as those of CompactPDO
-    listed_defaults = {i for i in described.objects if not described.is_dcf and _lists_values(file, i)}
+    compact = {index for index, part in file.objects.items() if part.get("CompactSubObj") and not described.is_dcf}
+    listed_defaults = {index for index in compact & described.objects.keys() if "value" in file.lists.get(index, {})}
     written_out = without | listed_defaults  # the list of a DCF has values alone
     for (index, sub), value in sorted(values.items()):
         section = file.entry(index, sub) if sub == 0 or index in file.subs else None
@@ -49,8 +50,7 @@ def _section_lines(
     """Return the lines of the sections without those of ``left_out``; ``lists``: new lists of values, by index."""
     replaced = {id(part["value"]) for index, part in file.lists.items() if index in lists and "value" in part}
     for index in left_out:
-        own = file.objects[index], *file.lists[index].values(), *file.subs.get(index, {}).values()
-        replaced.update(map(id, own))
+        replaced.update(map(id, (file.objects[index], *file.lists[index].values(), *file.subs.get(index, {}).values())))
     behind = {id(part): lists[index] for index, part in file.objects.items() if index in lists}
     lines: list[str] = []
     for part in sections:
@@ -60,11 +60,6 @@ def _section_lines(
             texts = [f"{sub}={text}" for sub, text in sorted(behind[id(part)].items())]
             lines += [f"[{part.name}Value]", f"NrOfEntries={len(texts)}", *texts, ""]
     return lines
-
-
-def _lists_values(file: EdsFile, index: int) -> bool:
-    section = file.objects.get(index)
-    return section is not None and bool(section.get("CompactSubObj")) and "value" in file.lists.get(index, {})
 
 
 def _list_objects(file: EdsFile, indices: Iterable[int]) -> None:

@@ -149,19 +149,19 @@ def _general(n: int, simulated: bool, converter: Converter, node_id: int | None)
 
 
 def _entry(entry: Entry[Any], values: Values) -> list[str]:
-    lines = [f"ParameterName={entry.title}", f"ObjectType=0x{table.VAR:X}"]
-    lines.append(f"DataType=0x{types.data_type(entry.type).code:04X}")
-    lines += [f"AccessType={access_text(entry)}", f"DefaultValue={default_text(entry)}"]
-    if entry.low is not None:
-        lines.append(f"LowLimit={value_text(entry.type, entry.low)}")
-    if entry.high is not None:
-        lines.append(f"HighLimit={value_text(entry.type, entry.high)}")
-    lines.append(f"PDOMapping={int(entry.mappable)}")
     # Commands and states are not to be downloaded from a DCF; what is write-only can't be scanned.
     flags = _REFUSE_WRITE if entry.flags & table.NOT_STORED or entry.access == "wo" else 0
     flags |= _REFUSE_READ if entry.access == "wo" else 0
-    if flags:
-        lines.append(f"ObjFlags=0x{flags:X}")
-    if entry.key in values:
-        lines.append(f"ParameterValue={value_text(entry.type, values[entry.key])}")
-    return [*lines, ""]
+    keys = {
+        "ParameterName": entry.title,
+        "ObjectType": f"0x{table.VAR:X}",
+        "DataType": f"0x{types.data_type(entry.type).code:04X}",
+        "AccessType": access_text(entry),
+        "DefaultValue": default_text(entry),
+        "LowLimit": None if entry.low is None else value_text(entry.type, entry.low),
+        "HighLimit": None if entry.high is None else value_text(entry.type, entry.high),
+        "PDOMapping": int(entry.mappable),
+        "ObjFlags": f"0x{flags:X}" if flags else None,
+        "ParameterValue": value_text(entry.type, values[entry.key]) if entry.key in values else None,
+    }
+    return [*(f"{key}={text}" for key, text in keys.items() if text is not None), ""]
