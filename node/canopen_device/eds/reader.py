@@ -281,7 +281,7 @@ class _Reader:
         if code is not None:
             section.say("DataType", f"the form is a number; read as 0x{code:04X}")
         elif text:
-            code, _, remark = values.integer(text)
+            code, _, remark, _ = values.integer(text)
             if code is not None and remark and own:
                 section.say("DataType", remark)
         letter = LETTER_OF_CODE.get(code or 0) or self._defined(code)

@@ -78,7 +78,7 @@ def add_compact_pdos(file: EdsFile, eds: Description) -> None:
     for key, first, last, bases, _ in PDOS:
         if not section.get(key):
             continue
-        count, _, remark = values.integer(section.get(key) or "")
+        count, _, remark, _ = values.integer(section.get(key) or "")
         there = sum(first <= index <= last for index in eds.objects)
         if remark or count is None or not 0 <= count <= _MOST:
             section.say(key, remark or f"allowed are 0 to {_MOST}")
@@ -216,7 +216,7 @@ def _check_identity(section: Section | None, eds: Description) -> None:
         entry = eds.entry(at.IDENTITY, sub)
         if section is None or entry is None or not section.get(key):
             continue
-        number, _, remark = values.integer(section.get(key) or "")
+        number, _, remark, _ = values.integer(section.get(key) or "")
         if number is None or not 0 <= number <= 0xFFFFFFFF:
             section.say(key, remark or "allowed are 0 to 0xFFFFFFFF")
         elif not entry.has_default and entry.value is None:

@@ -4,10 +4,11 @@ Each function returns what it read and a remark, "" where the text is as CiA 306
 import math
 import re
 import struct
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 from canopen_device.types import DataType, Value
 
+T = TypeVar("T")
 _NODE_ID = re.compile(r"\$?\s*node_?id", re.IGNORECASE)
 _HEX = re.compile(r"0x([0-9a-f]+)", re.IGNORECASE)
 _AROUND = "\"'() "  # what some tools write around a number
@@ -26,18 +27,11 @@ _MOST_DIGITS = 40
 _LONGEST_SUM = 255  # characters; a line of CiA 306-1
 
 
-class Read(NamedTuple):
-    """An integer, whether the node-id was added to it, and a remark. ``value`` is None for what is no number."""
+class Read(NamedTuple, Generic[T]):
+    """A value, whether the node-id was added to it, a remark, and whether the value is not that of the text. An integer
+    is None for what is no number."""
 
-    value: int | None
-    has_node_id: bool = False
-    remark: str = ""
-
-
-class Typed(NamedTuple):
-    """A value of a data type, whether $NODEID is in it, a remark, and whether the value is not that of the text."""
-
-    value: Value
+    value: T
     has_node_id: bool = False
     remark: str = ""
     is_other: bool = False
@@ -53,7 +47,7 @@ def uncommented(text: str) -> tuple[str, str]:
     return bare, "" if bare == plain else "quotes and brackets are no part of a value; read without"
 
 
-def integer(text: str, node_id: int = 0) -> Read:
+def integer(text: str, node_id: int = 0) -> Read[int | None]:
     """Read an integer, or a sum of integers and $NODEID in any order; ``value`` includes ``node_id``."""
     plain, remark = uncommented(text)
     if not plain:
@@ -103,21 +97,21 @@ def _unsigned(digits: str) -> tuple[int | None, str]:
     return None, "not an integer"
 
 
-def typed(kind: DataType, text: str, node_id: int) -> Typed:
+def typed(kind: DataType, text: str, node_id: int) -> Read[Value]:
     """Read a value of a type. Empty text is 0 or empty."""
     if kind.python is int:
         return _integer(kind, text, node_id)
     if kind.letter == "s":
         shown = text.encode("latin-1", "replace").decode("latin-1")
         remark = "" if shown == text else f"not in {kind.name}; read with ? for other characters"
-        return Typed(shown, False, remark, shown != text)
+        return Read(shown, False, remark, shown != text)
     if kind.letter == "u":
-        return Typed(text)
+        return Read(text)
     return _real(kind, text) if kind.python is float else _bytes(kind, text)
 
 
-def _as_zero(zero: Value, problem: str) -> Typed:
-    return Typed(zero, False, f"{problem}; read as 0", True)
+def _as_zero(zero: Value, problem: str) -> Read[Value]:
+    return Read(zero, False, f"{problem}; read as 0", True)
 
 
 def limit(kind: DataType, text: str, node_id: int) -> tuple[int | float | None, str]:
@@ -128,28 +122,28 @@ def limit(kind: DataType, text: str, node_id: int) -> tuple[int | float | None, 
     return value, remark
 
 
-def _integer(kind: DataType, text: str, node_id: int) -> Typed:
+def _integer(kind: DataType, text: str, node_id: int) -> Read[Value]:
     if not text:
-        return Typed(0)
-    value, has_node_id, remark = integer(text, node_id)
+        return Read(0)
+    value, has_node_id, remark, _ = integer(text, node_id)
     if value is None:
         return _as_zero(0, remark)
     low, high = kind.limits or (0, 0)
     if low <= value <= high:
-        return Typed(value, has_node_id, remark)
+        return Read(value, has_node_id, remark)
     bits = 8 * (kind.size or 0)
     wrapped = (value - low) % (1 << bits) + low
     if kind.letter != "?" and -(1 << bits - 1) <= value < 1 << bits:  # the same bits with the other sign
         as_bits = "x" in text.lower() and low < 0
         other = f"not in {kind.name}; read as {wrapped}"
-        return Typed(wrapped, has_node_id, remark if as_bits else other, not as_bits)
+        return Read(wrapped, has_node_id, remark if as_bits else other, not as_bits)
     nearest = min(max(value, low), high)
-    return Typed(nearest, has_node_id, f"not in {kind.name}, {low} to {high}; read as {nearest}", True)
+    return Read(nearest, has_node_id, f"not in {kind.name}, {low} to {high}; read as {nearest}", True)
 
 
-def _real(kind: DataType, text: str) -> Typed:
+def _real(kind: DataType, text: str) -> Read[Value]:
     if not text:
-        return Typed(0.0)
+        return Read(0.0)
     plain, remark = uncommented(text)
     if _HEX.fullmatch(plain):
         size = kind.size or 4
@@ -157,7 +151,7 @@ def _real(kind: DataType, text: str) -> Typed:
         if bits >> 8 * size:
             return _as_zero(0.0, f"more than the {8 * size} bits of {kind.name}")
         real = float(struct.unpack("<" + kind.letter, bits.to_bytes(size, "little"))[0])
-        return Typed(real, False, remark)
+        return Read(real, False, remark)
     if "," in plain:
         remark, plain = "the decimal sign is a point", plain.replace(",", ".")
     try:
@@ -165,10 +159,10 @@ def _real(kind: DataType, text: str) -> Typed:
         struct.pack("<" + kind.letter, value)
     except (ValueError, OverflowError):
         return _as_zero(0.0, f"not in {kind.name}")
-    return Typed(value, False, remark)
+    return Read(value, False, remark)
 
 
-def _bytes(kind: DataType, text: str) -> Typed:
+def _bytes(kind: DataType, text: str) -> Read[Value]:
     """Read hexadecimal bytes; a text that is none stands for its own bytes."""
     bare = "".join(text.split()).removeprefix("0x").removeprefix("0X")
     try:
@@ -176,12 +170,12 @@ def _bytes(kind: DataType, text: str) -> Typed:
     except ValueError:
         data = text.encode("utf-8")
         if kind.size is None:
-            return Typed(data, False, "not hexadecimal bytes; read as text")
+            return Read(data, False, "not hexadecimal bytes; read as text")
     if kind.size is None or len(data) == kind.size:
-        return Typed(data)
+        return Read(data)
     if not data:
-        return Typed(bytes(kind.size))
+        return Read(bytes(kind.size))
     number = integer(text).value
     if number is not None and 0 <= number < 1 << 8 * kind.size:
-        return Typed(number.to_bytes(kind.size, "little"))
+        return Read(number.to_bytes(kind.size, "little"))
     return _as_zero(bytes(kind.size), f"not {kind.size} bytes")

@@ -126,7 +126,7 @@ def _value(found: EdsFile, path: str | Path, index: int, sub: int, node_id: int)
 def _number(path: str | Path, place: str, text: str, node_id: int) -> int:
     from canopen_device.eds.values import integer
 
-    number, _, remark = integer(text, node_id)
+    number, _, remark, _ = integer(text, node_id)
     if number is None:
         raise InputError(f"{path}: {place} = {text!r}: {remark}")
     return number
