@@ -135,10 +135,6 @@ class CoreLink:
         self._queue.extend(Frame(can_id, data, self._now_us) for can_id, data in sent)
 
 
-def _now_us() -> int:
-    return time.monotonic_ns() // 1000
-
-
 class BusLink:
     """A python-can bus with a device on it, and the machine's clock."""
 
@@ -151,7 +147,7 @@ class BusLink:
 
     def now_us(self) -> int:
         """Microseconds of the monotonic clock."""
-        self._looked_us = _now_us()
+        self._looked_us = time.monotonic_ns() // 1000
         return self._looked_us
 
     def send(self, can_id: int, data: bytes) -> None:
@@ -183,7 +179,7 @@ class BusLink:
                 return None
             if not (message.is_fd or message.is_error_frame):
                 flags = EXTENDED_FLAG * message.is_extended_id | REMOTE_FLAG * message.is_remote_frame
-                return Frame(message.arbitration_id | flags, bytes(message.data), _now_us())
+                return Frame(message.arbitration_id | flags, bytes(message.data), time.monotonic_ns() // 1000)
 
 
 Link: TypeAlias = CoreLink | BusLink
