@@ -45,13 +45,11 @@ class _Tap(Source):
         return self._found.pop(0)
 
     def due_us(self, now_us: int) -> int:
-        due_us: int = self._gauges.due_us(now_us)
-        return due_us
+        return int(self._gauges.due_us(now_us))
 
     @property
     def period_us(self) -> int:
-        period_us: int = self._gauges.period_us
-        return period_us
+        return int(self._gauges.period_us)
 
     @period_us.setter
     def period_us(self, value: int) -> None:
