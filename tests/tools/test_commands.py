@@ -406,8 +406,9 @@ def test_an_uncalibrated_finger_is_named_and_its_rows_say_why(hand: tuple[ExitSt
     assert "thumb (1): up, not calibrated: P, phi and theta are unknown" in out
     assert HINT.format(1) in err
     rows = [record for record in printed(0, f"hand run {path} --seconds 0.3 --json").records if "row" in record]
-    assert rows[-1]["1"]["P"] is None
-    assert rows[-1]["1"]["reason"].startswith("not calibrated")
+    thumb = [row["1"] for row in rows if "P" in row["1"]][-1]  # an answer that is late has none
+    assert thumb["P"] is None
+    assert thumb["reason"].startswith("not calibrated")
     assert "thumb: not calibrated" in printed(0, f"hand run {path} --seconds 0.3").out
 
 
