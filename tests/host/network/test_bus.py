@@ -5,9 +5,10 @@ import itertools
 import math
 import struct
 import threading
+import time
 from collections.abc import Iterator
 from types import SimpleNamespace
-from unittest.mock import Mock
+from unittest.mock import MagicMock, Mock
 
 import can
 import pytest
@@ -21,7 +22,7 @@ from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
 from tipforce.host.frames.frame_array import FrameBuffer
-from tipforce.host.network.bus import Bus, Dispatcher
+from tipforce.host.network.bus import Bus, Dispatcher, Heartbeats
 from tipforce.host.network.find import FoundNode, find_nodes
 from tipforce.host.network.finger import Identity
 from tipforce.host.network.interfaces import open_bus
@@ -123,6 +124,36 @@ def test_subscribers_get_data_frames_of_their_identifier_alone() -> None:
     assert received == [b""]
     assert dispatcher.bus is not None
     dispatcher.bus.shutdown()
+
+
+def test_what_comes_when_a_wait_has_just_ended_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The thread that waits runs late: the time is over, and the frame is there."""
+    buffer = FrameBuffer()
+
+    def late(_timeout_s: float) -> bool:
+        buffer._frames.append((0, 0x20, b""))
+        return False
+
+    monkeypatch.setattr(buffer._arrived, "wait", late)
+    assert buffer.take({0x20}, time.monotonic() + 60.0)["can_id"].tolist() == [0x20]
+
+
+def test_a_state_that_another_follows_before_the_look_was_reached() -> None:
+    """Of two nodes that boot, the second one beats again while the first one is waited for."""
+    heartbeats, since_s = Heartbeats(), time.monotonic()
+    for data in (b"\0", b"\x7f"):
+        heartbeats.on_message_received(can.Message(arbitration_id=0x705, data=data, is_extended_id=False))
+    assert heartbeats.wait(5, codes.INITIALISING, since_s, 0.0)
+    assert heartbeats.state(5) == codes.PRE_OPERATIONAL
+    assert not heartbeats.wait(5, codes.INITIALISING, time.monotonic() + 1.0, 0.0)
+
+
+def test_a_bus_that_is_closed_while_another_thread_sends_has_its_own_error() -> None:
+    bus = Mock(send=Mock(side_effect=can.CanOperationError("closed")))
+    dispatcher = Dispatcher(bus)
+    dispatcher._lock = MagicMock(__enter__=lambda _lock: setattr(dispatcher, "bus", None))
+    with pytest.raises(can.CanOperationError, match="closed"):
+        dispatcher.send_message(0x80, b"")
 
 
 def test_a_full_buffer_drops_the_oldest_and_counts_them() -> None:

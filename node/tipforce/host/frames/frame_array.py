@@ -97,9 +97,9 @@ class FrameBuffer:
                         return frame_array(taken)
                 taken += self._frames
                 self._frames.clear()
-                remaining_s = deadline - time.monotonic()
-                if remaining_s <= 0 or not self._arrived.wait(remaining_s):
+                if (remaining_s := deadline - time.monotonic()) <= 0:
                     return frame_array(taken)
+                self._arrived.wait(remaining_s)  # then the frames are looked at, also those after a late end of it
 
     def put(self, frame: RawFrame) -> None:
         """Append a frame from another source."""
@@ -111,9 +111,9 @@ class FrameBuffer:
         """Remove and return the received frames as soon as there are any; empty at ``deadline`` (monotonic)."""
         with self._arrived:
             while not self._frames:
-                remaining_s = deadline - time.monotonic()
-                if remaining_s <= 0 or not self._arrived.wait(remaining_s):
+                if (remaining_s := deadline - time.monotonic()) <= 0:
                     break
+                self._arrived.wait(remaining_s)
             taken, self._frames = self._frames, []
         return frame_array(taken)
 

@@ -49,7 +49,8 @@ class Heartbeats(can.Listener):
     """Store each node's last heartbeat; any number of threads may wait for one. ``duplicates`` gets every frame."""
 
     def __init__(self) -> None:
-        self._last: dict[int, tuple[float, int]] = {}
+        self._last: dict[int, int] = {}
+        self._heard_s: dict[tuple[int, int], float] = {}  # by node-id and state: a boot-up is followed by another state
         self._arrived = threading.Condition()
         self.duplicates = DuplicateNodes()
 
@@ -61,7 +62,8 @@ class Heartbeats(can.Listener):
         if not 0 < can_id - codes.HEARTBEAT_BASE <= codes.NODE_ID_MASK or len(msg.data) != 1:
             return
         with self._arrived:
-            self._last[can_id & codes.NODE_ID_MASK] = time.monotonic(), msg.data[0] & 0x7F
+            node_id, state = can_id & codes.NODE_ID_MASK, msg.data[0] & 0x7F
+            self._last[node_id], self._heard_s[node_id, state] = state, time.monotonic()
             self._arrived.notify_all()
 
     def on_error(self, _exc: Exception) -> None:
@@ -72,17 +74,13 @@ class Heartbeats(can.Listener):
     def state(self, node_id: int) -> int | None:
         """Return the NMT state of the last heartbeat, None for a node without one."""
         with self._arrived:
-            return self._last[node_id][1] if node_id in self._last else None
+            return self._last.get(node_id)
 
     def wait(self, node_id: int, wanted: int, since_s: float, timeout_s: float) -> bool:
-        """Wait for a heartbeat with a state after ``since_s`` (monotonic); return False if there is none."""
-
-        def is_heard() -> bool:
-            heard_s, state = self._last.get(node_id, (-1.0, -1))
-            return heard_s >= since_s and state == wanted
-
+        """Wait for a heartbeat with a state after ``since_s`` (monotonic), also if others followed it; return False if
+        there is none."""
         with self._arrived:
-            return self._arrived.wait_for(is_heard, timeout_s)
+            return self._arrived.wait_for(lambda: self._heard_s.get((node_id, wanted), -1.0) >= since_s, timeout_s)
 
 
 class Dispatcher(can.Listener):
@@ -116,10 +114,11 @@ class Dispatcher(can.Listener):
 
     def send_message(self, can_id: int, data: bytes) -> None:
         """Send a frame. Raises what the bus raises, also while it receives, and RuntimeError where it is closed."""
-        if self.bus is None:
+        bus = self.bus  # another thread may close it from here on
+        if bus is None:
             raise RuntimeError("Not connected to CAN bus")
         with self._lock:
-            self.bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+            bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
         if can_id & codes.FUNCTION_MASK == codes.SDO_REQUEST_BASE:
             self.notify(can_id, bytearray(data), 0.0)
         if self.notifier is not None and self.notifier.exception is not None:
