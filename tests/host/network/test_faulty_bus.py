@@ -3,6 +3,8 @@
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import can
 import pytest
@@ -13,8 +15,10 @@ from canopen_device.can_frame import least_bits, most_bits
 from host.bus_with_nodes import new_channel
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import frame_array
+from tipforce.host.network import faulty_bus
 from tipforce.host.network.bus_load import LoadMeter, hand_budget, highest_rate_hz, range_of_bits, what_fits
 from tipforce.host.network.faulty_bus import Babbler, Faults, FaultyBus, Injector, RawFrame, quiet
+from tools.rig import Clock
 
 FRAMES: list[RawFrame] = [(0x181 + k % 5, k.to_bytes(4, "little")) for k in range(4000)]
 
@@ -98,6 +102,26 @@ def test_a_bus_behind_it(buses: tuple[can.BusABC, FaultyBus]) -> None:
     message = faulty.recv(1.0)
     assert message is not None
     assert (message.arbitration_id, message.is_extended_id, bytes(message.data)) == (0x12345678, True, b"\x07")
+
+
+def test_what_is_due_when_a_late_wait_ends_is_received(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The thread is woken after the due time and the deadline; a delay counts from the arrival."""
+    clock, frames = Clock(), iter([can.Message(arbitration_id=1)])
+
+    def recv(timeout_s: float) -> can.Message | None:
+        clock.sleep(timeout_s + 1.0)
+        return next(frames, None)
+
+    monkeypatch.setattr(faulty_bus, "time", SimpleNamespace(monotonic=clock, time_ns=lambda: 0))
+    inner = Mock(channel_info="", protocol=can.CanProtocol.CAN_20, recv=recv)
+    with FaultyBus(inner, Faults(delay=1.0, delay_s=50.0), seed=3) as bus:
+        begin_s = clock.now_s
+        assert bus._recv_internal(5.0) == (None, False)
+        due_s = bus.next_due_s()
+        assert due_s is not None
+        assert due_s >= begin_s + 6.0
+        assert due_s > clock.now_s
+        assert bus._recv_internal(due_s - clock.now_s + 0.5)[0] is not None
 
 
 def test_bus_off_and_on(buses: tuple[can.BusABC, FaultyBus]) -> None:

@@ -131,8 +131,8 @@ class FaultyBus(Injector, can.BusABC):
             waits_s = [t - now_s for t in (deadline_s, self.next_due_s()) if t is not None]
             received = self.bus.recv(max(0.0, min(waits_s)) if waits_s else 0.05)
             if received is not None:
-                self.put((raw_can_id(received), bytes(received.data)), now_s)
-            elif deadline_s is not None and time.monotonic() >= deadline_s:
+                self.put((raw_can_id(received), bytes(received.data)), time.monotonic())
+            elif deadline_s is not None and now_s >= deadline_s:  # after a look at what was due by then
                 return None, False
 
     def _check(self) -> None:
