@@ -9,6 +9,8 @@ import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import can
 import canopen
@@ -19,7 +21,9 @@ from bench.measure import background
 import tipforce
 from tipforce.dictionary import objects as od
 from tipforce.host import apply_configuration, read_configuration
-from tools.rig import message, sending, until
+from tipforce.host.network import finger as module
+from tipforce.host.network import finger_samples as samples
+from tools.rig import Clock, message, sending, until
 
 LOAD = (4.4, 90.0, 45.0)
 
@@ -61,6 +65,47 @@ def test_each_reading_is_a_new_sample(bus: tipforce.SimulatedBus) -> None:
         list(itertools.islice(finger.samples(timeout_s=0.3), 1000))
     with pytest.raises(tipforce.NoNewSampleError, match=r"^finger 5: no new sample"):
         finger.read(timeout_s=0)
+
+
+def test_what_is_read_of_the_node_is_no_part_of_the_wait_for_a_sample(
+    bus: tipforce.SimulatedBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = Clock()
+    times = SimpleNamespace(monotonic=lambda: time.monotonic() + clock.now_s, time=time.time)
+    for each in (module, samples):
+        monkeypatch.setattr(each, "time", times)
+    monkeypatch.setattr(module.Finger, "calibration", lambda _finger: clock.sleep(1000.0))
+    assert bus.finger(5).read(timeout_s=60.0).P_newtons == pytest.approx(4.4, abs=0.1)
+
+
+def test_of_two_threads_that_read_one_finger_one_takes_a_sample(
+    bus: tipforce.SimulatedBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    finger = bus.finger(5)
+    finger.read()
+    reader = finger._reader
+    assert reader is not None
+    feed, inside, entered = reader._assembler.feed, threading.Lock(), threading.Event()
+
+    def alone(*frames: Any) -> Any:
+        if not inside.acquire(blocking=False):
+            entered.set()
+            return feed(*frames)
+        other = threading.Thread(target=finger.read)
+        other.start()
+        entered.wait(0.05)  # of a second one, which would come at once
+        found = feed(*frames)
+        others.append(other)
+        inside.release()
+        return found
+
+    others = list[threading.Thread]()
+    with monkeypatch.context() as patch:
+        patch.setattr(reader._assembler, "feed", alone)
+        finger.read()
+    for other in others:
+        other.join()
+    assert not entered.is_set()
 
 
 @pytest.mark.parametrize("by_another", [False, True])

@@ -94,9 +94,10 @@ class Finger:
         ``timeout_s``, as ``SdoChannel``, and InputError without a PDO of contact, force or all gauges."""
         timeout_s = checked_time("timeout_s", timeout_s)
         period_s = None if self._passive or not timeout_s else 1.0 / DEFAULT_RATE_HZ
+        reader = self._opened()  # its reading of the node is no part of the wait for a sample
         deadline_s = time.monotonic() + timeout_s
-        while (contact := self._opened().newest(deadline_s, period_s)) is None:
-            pass
+        while (contact := reader.newest(deadline_s, period_s)) is None:
+            reader = self._opened()
         return contact
 
     def samples(self, timeout_s: float = 1.0, rate_hz: float = DEFAULT_RATE_HZ) -> ContactStream:

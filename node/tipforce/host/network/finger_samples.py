@@ -57,7 +57,7 @@ class ContactReader:
         needed = _needed(node_id, gauges, pdos)
         layouts = {can_id: (node_id, message) for can_id, message in pdos.items()}
         self._assembler = Assembler(layouts, needed, gauges, calibrations)
-        self._arrived = threading.Condition()
+        self._arrived, self._taking = threading.Condition(), threading.Lock()
         self._waiting: deque[RawFrame] = deque(maxlen=_MOST_WAITING)
         self._joined: deque[Contact] = deque()
         self._received = self._repeated = False
@@ -124,19 +124,21 @@ class ContactReader:
             self._arrived.notify_all()
 
     def _take(self) -> Contact | None:
-        """Return the next sample that is not a repeat of the one before; None if no more has arrived."""
-        while self._waiting or self._joined:
-            if self._joined:
-                self._last = contact = self._joined.popleft()
-                if Status.STALE not in contact.status:
-                    return contact
-                self._repeated = True
-                continue
-            frames = [self._waiting.popleft() for _ in range(len(self._waiting))]
-            for frame in frames:
-                self._watch(*frame)
-            self._joined += self._assembler.feed(frame_array(frames)).contacts()
-        return None
+        """Return the next sample that is not a repeat of the one before; None if no more has arrived. Several threads
+        may read one finger: each sample goes to one of them."""
+        with self._taking:
+            while self._waiting or self._joined:
+                if self._joined:
+                    self._last = contact = self._joined.popleft()
+                    if Status.STALE not in contact.status:
+                        return contact
+                    self._repeated = True
+                    continue
+                frames = [self._waiting.popleft() for _ in range(len(self._waiting))]
+                for frame in frames:
+                    self._watch(*frame)
+                self._joined += self._assembler.feed(frame_array(frames)).contacts()
+            return None
 
     def _watch(self, t_ns: int, can_id: int, data: bytes) -> None:
         _, pdo = self._assembler.pdos.get(can_id, (0, None))
