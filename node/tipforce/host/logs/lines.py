@@ -334,13 +334,14 @@ class LineBlocks:
     def _wait(self) -> bool:
         silent_s = time.monotonic() + self._timeout_s
         while True:
-            if self._end_s is not None and time.monotonic() > self._end_s:
+            now_s = time.monotonic()
+            if self._end_s is not None and now_s > self._end_s:
                 return False
             if self._end_s is None and self._stop():
-                self._end_s = time.monotonic() + _LAST_S
-            if select.select([self._file], [], [], min(_POLL_S, self._timeout_s))[0]:
+                self._end_s = now_s + _LAST_S
+            if select.select([self._file], [], [], max(min(_POLL_S, silent_s - now_s), 0.0))[0]:
                 return True
-            if time.monotonic() >= silent_s:
+            if now_s >= silent_s:  # when the last look began: it saw all that came in time
                 return False
 
     def _too_long(self) -> None:
