@@ -13,7 +13,7 @@ import numpy as np
 
 from canopen_device.core.codes import EMCY_BASE, HEARTBEAT_BASE, NMT_COB_ID, NODE_ID_MASK, SYNC_COB_ID, TPDO_BASES
 from tipforce.dictionary.signals import tpdo_messages
-from tipforce.errors import RefusedError
+from tipforce.errors import RefusedError, TipforceError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.decoding.health import Health
@@ -312,9 +312,9 @@ class HandFeed(Feed):
 
     def take(self, timeout_s: float) -> tuple[list[Block], list[Event]]:
         """See Feed."""
-        if self._hand.error is not None:
-            raise self._hand.error
         with self._changed:
+            if not self._waiting and self._hand.error is not None:  # after all that came before it
+                raise self._hand.error
             if not self._waiting and timeout_s:
                 self._changed.wait(timeout_s)
         if timeout_s:
@@ -348,6 +348,7 @@ class FrameFeed(Feed):
         super().__init__(source.close, self._watcher.state, fingers, gauges)
         self.frames = 0
         self._source, self._down = source, False
+        self._failure: TipforceError | None = None
 
     def take(self, timeout_s: float) -> tuple[list[Block], list[Event]]:
         """See Feed."""
@@ -371,12 +372,18 @@ class FrameFeed(Feed):
         return blocks, [*events, *watched]
 
     def _read(self, timeout_s: float) -> FrameArray:
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
         frames, _ = self._source.take(timeout_s)
         if timeout_s or not len(frames):
             return frames
         parts = [frames]
-        while len(parts) < _MOST_READS and len(more := self._source.take(0.0)[0]):
-            parts.append(more)
+        try:
+            while len(parts) < _MOST_READS and len(more := self._source.take(0.0)[0]):
+                parts.append(more)
+        except TipforceError as error:
+            self._failure = error  # of the next call: it costs no frame that came before it
         return np.concatenate(parts)
 
     def now_ns(self) -> int:

@@ -3,14 +3,20 @@
 import asyncio
 import pickle
 import threading
+from collections.abc import Sequence
 
 import pytest
 
+from tipforce.errors import InputError, TipforceError
+from tipforce.host.frames.frame_array import FrameArray, frame_array
 from tipforce.host.hand import rows as module
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.rows import Delivery, HandRow
+from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.samples.reasons import NO_RESPONSE
 from tipforce.samples.record import Rows, missing_contact
+from tipforce.watching.feeds import Finger, FrameFeed
+from tipforce.watching.frame_sources import FrameSource
 
 
 def block(first: int, count: int = 1) -> Rows:
@@ -111,6 +117,32 @@ def test_a_callback_that_raises_is_reported_once_and_the_others_are_called() -> 
     assert any("broken raised ValueError: row 0" in event.text for event in events)
     delivery.event(Event(0.0, 0, "bus_up", ""))
     assert [event.kind for event in delivery.take_events()] == ["bus_up"]
+
+
+class _Source(FrameSource):
+    """Gives these in turn: frames, or an error."""
+
+    def __init__(self, *given: FrameArray | TipforceError) -> None:
+        super().__init__(lambda: None)
+        self._given = iter(given)
+
+    def _take(self, _timeout_s: float) -> tuple[FrameArray, Sequence[str]]:
+        item = next(self._given)
+        if isinstance(item, TipforceError):
+            raise item
+        return item, ()
+
+
+def test_an_error_of_a_bus_costs_no_frame_that_came_before_it() -> None:
+    frames = frame_array([(1, 0x185, bytes(8))])
+    feed = FrameFeed(_Source(frames, frames, InterfaceDownError("unplugged"), frames, InputError("a bad line")), Finger)
+    assert feed.take(0.0) == ([], [])
+    assert feed.frames == 2
+    assert [event.kind for event in feed.take(0.0)[1]] == ["bus_down"]
+    assert [event.kind for event in feed.take(0.0)[1]] == ["bus_up"]
+    assert feed.frames == 3
+    with pytest.raises(InputError, match="a bad line"):
+        feed.take(0.0)
 
 
 def test_a_row_in_another_process_has_the_same_contacts() -> None:
