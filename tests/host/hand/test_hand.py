@@ -2,8 +2,10 @@
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,15 +15,19 @@ from bench.soak import Soak
 from host.bus_with_nodes import ROUNDING_STRAIN2, apply_load, beam_calibration, finger, new_channel, running
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.host.configuration.calibration import write_calibration
+from tipforce.host.frames.frame_array import FrameArray, frame_array
+from tipforce.host.hand import hand as hand_module
+from tipforce.host.hand import link as link_module
 from tipforce.host.hand import recovery as module
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
-from tipforce.host.hand.link import Jitter, ThreadSync
+from tipforce.host.hand.link import Jitter, Link, ThreadSync
 from tipforce.host.hand.recovery import RecoveryQueue
+from tipforce.samples.sync_numbers import LARGEST
 from tipforce.sensor.structure.strain import FABRICATED, calibration_matrix
 from tipforce.watching.feeds import HandFeed, hand_fingers
-from tools.rig import until
+from tools.rig import Clock, until
 
 WAIT_S = 60.0
 
@@ -60,7 +66,7 @@ def test_every_sync_gives_a_row_with_every_finger(hand: Hand) -> None:
     assert statistics.tally.mixed.tolist() == [0, 0]
     assert (statistics.dropped, statistics.overrun) == (0, 0)
     assert statistics.sync.periods >= whole - 1
-    assert hand.settled()
+    until(hand.settled)
     with pytest.raises(InputError, match="already started"):
         hand.start()
     iterator = hand.blocks()
@@ -87,7 +93,7 @@ def test_an_accepted_calibration_gives_the_uncertainties_of_a_feed(hand: Hand) -
 
 
 def test_a_dead_receiver_is_an_event(hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
-    events: list[Event] = []
+    feed, events = HandFeed(hand, hand_fingers(hand)), list[Event]()
     hand.on_event(events.append)
     monkeypatch.setattr("threading.excepthook", lambda _args: None)
 
@@ -99,6 +105,43 @@ def test_a_dead_receiver_is_an_event(hand: Hand, monkeypatch: pytest.MonkeyPatch
     assert not hand.settled()
     assert hand.state(1) == "unknown: reception has ended"
     assert "ended: ZeroDivisionError" in next(event.text for event in events if event.kind == "failed")
+    assert feed.take(0.0)[1][-1].kind == "failed"  # all that came before the error, and then that
+    with pytest.raises(ZeroDivisionError, match="receiver"):
+        feed.take(0.0)
+
+
+def test_a_bus_that_opens_again_while_the_hand_stops_is_left_without_a_sync(
+    hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, ended, reopen = threading.Event(), threading.Event(), link_module.open_link
+
+    def start_sync(_period_s: float, _data: object) -> Callable[[], None]:
+        begun.set()
+        assert hand._stopped.wait(WAIT_S)
+        return ended.set
+
+    def reopened(options: Mapping[str, object]) -> Link:
+        link = reopen(options)
+        monkeypatch.setattr(link, "start_sync", start_sync)
+        return link
+
+    monkeypatch.setattr(hand_module, "open_link", reopened)
+    monkeypatch.setattr(hand._link, "receive", Mock(side_effect=EnvironmentLackError("unplugged")))
+    assert begun.wait(WAIT_S)
+    hand.stop()
+    assert ended.is_set()
+
+
+def test_a_sync_that_comes_before_a_late_end_of_the_wait_is_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, looks = Clock(), iter([[], [(0, 0x80, b"\x01")]])
+
+    def receive(timeout_s: float) -> FrameArray:
+        clock.sleep(timeout_s + 1.0)
+        return frame_array(next(looks))
+
+    monkeypatch.setattr(link_module, "time", SimpleNamespace(monotonic=clock))
+    file = HandFile(finger=(FingerPlan(node_id=1),), hand=HandPlan(sync_hz=0.0))
+    assert link_module.wanted_overflow(Mock(receive=receive), file, None) == LARGEST
 
 
 # --- the recovery queue ---------------------------------------------------------------------------------------------

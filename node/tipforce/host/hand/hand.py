@@ -228,9 +228,9 @@ class Hand:
     def stop(self) -> None:
         """Stop SYNCs and rows; return the fingers to pre-operational."""
         self._stopped.set()
-        self._end_sync()
         if self._thread is not None:
             self._thread.join()
+        self._end_sync()  # not before: the thread may just begin another on a bus that it has opened again
         self._queue.close()
         self._delivery.close()
         if self._thread is not None:

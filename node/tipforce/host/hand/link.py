@@ -157,8 +157,9 @@ def wanted_overflow(link: Link, file: HandFile, nodes: set[int] | None) -> int |
     ``nodes``: node-ids of all nodes on the bus; None: they are searched."""
     plan = file.hand
     if not plan.sync_hz:
-        deadline_s = time.monotonic() + _LISTEN_S
-        while (left_s := deadline_s - time.monotonic()) > 0:
+        deadline_s, left_s = time.monotonic() + _LISTEN_S, _LISTEN_S
+        while left_s > 0.0:
+            left_s = max(deadline_s - time.monotonic(), 0.0)  # the last look is after the deadline
             frames = link.receive(left_s)
             lengths = frames["length"][frames["can_id"] == SYNC_COB_ID]
             if len(lengths):
