@@ -134,6 +134,16 @@ def test_a_hostile_log_is_refused_in_bounded_memory(name: str, tmp_path: Path) -
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize(("length", "bad"), [(8, {}), (9, {"not CAN": 1})])
+def test_a_message_of_mcap_with_more_than_8_bytes_is_bad(length: int, bad: dict[str, int], tmp_path: Path) -> None:
+    """can_msgs/Frame has eight bytes for the data of a classic frame."""
+    message = struct.pack("<xBxxiII4xI3xB8s", 1, 1, 0, 1, 0x285, length, bytes(range(8)))
+    mcap(tmp_path / "x.mcap", CompressionType.NONE, message)
+    with open_log(tmp_path / "x.mcap") as log:
+        assert [block["length"].tolist() for block in log] == [[8]] * (not bad)
+    assert log.bad == bad
+
+
 def test_a_real_log_is_read_however_it_is_packed(tmp_path: Path) -> None:
     """Lines that differ by a few digits are packed by less than the limit; larger than FREE_BYTES."""
     contents = {"x.log": LINES, "x.log.gz": gz(LINES), "x.zst": zstandard.compress(LINES, 19)}

@@ -209,6 +209,8 @@ def _message_row(path: Path, notes: LogNotes, topic: str, log_time_ns: int, data
         start = _CDR_HEADER + _HEAD[order].size
         name, end = data[start : start + size - 1].decode(errors="replace") or topic, start + size
         can_id, remote, extended, error, length, payload = _REST[order].unpack_from(data, end + -end % 4)
+        if length > len(payload):
+            raise IndexError(length)
     except (IndexError, struct.error):
         notes.note_bad("not CAN", f"{path}: a message of {topic} that is cut, or no {SCHEMA}")
         return b""
@@ -217,4 +219,4 @@ def _message_row(path: Path, notes: LogNotes, topic: str, log_time_ns: int, data
         return b""
     can_id |= (EXTENDED_FLAG if extended else 0) | (REMOTE_FLAG if remote else 0) | (ERROR_FLAG if error else 0)
     t_ns = sec * 1_000_000_000 + nanosec
-    return PACK_FRAME(t_ns or log_time_ns, can_id, min(length, 8), channel, 0, payload)
+    return PACK_FRAME(t_ns or log_time_ns, can_id, length, channel, 0, payload)
