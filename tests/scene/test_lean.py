@@ -6,7 +6,9 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import can
 import pytest
@@ -135,6 +137,21 @@ def test_a_hand_on_a_bus(bus: Bus | None, tmp_path: Path) -> None:
     stamps = [float(line[1:18]) for line in path.read_text().splitlines()]
     assert stamps == sorted(stamps)
     assert stamps[-1] >= 0.44
+
+
+def test_an_answer_that_is_sent_at_the_end_of_a_wait_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    master, port, slept = realtime._Master(Mock()), Mock(answered=0), list[float]()
+
+    def sleep(seconds: float) -> None:
+        slept.append(seconds)
+        port.answered = 1
+        if len(slept) == 2:
+            master(can.Message(arbitration_id=0x185))
+
+    monkeypatch.setattr(realtime, "time", SimpleNamespace(sleep=sleep))
+    master.syncs = 1
+    master.settle(port)
+    assert len(slept) == 3
 
 
 def test_faults_come_on_a_bus_too() -> None:

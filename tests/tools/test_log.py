@@ -2,6 +2,7 @@
 
 import gzip
 import io
+import itertools
 import os
 import re
 import signal
@@ -12,6 +13,9 @@ from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import Mock
 
 import can
 import pytest
@@ -19,6 +23,7 @@ import pytest
 from canopen_device.core.codes import ERROR_FLAG
 from tipforce.host.logs.notes import LogNotes
 from tipforce.host.logs.recorder import Recorder
+from tipforce_tools.cli import listening as module
 from tipforce_tools.log import default_name
 from tipforce_tools.replay import timed_frames
 from tools.blocks import MIXED, MIXED_LOG, block_of_text, written
@@ -113,6 +118,24 @@ def test_silence_ends_it(tmp_path: Path, printed: Printed) -> None:
         printed(0, f"log -i virtual -c log5 -o {path} -T 100 -q {overwrite}")
         assert path.read_text() == ""
         path.write_text("old")
+
+
+def test_what_came_before_the_end_is_received_however_late_the_end_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The process stands still after an empty look, and after the signal."""
+    now_s, looks = [100.0], iter([[], ["late"]])
+
+    def receive_block(_timeout_s: float) -> list[str]:
+        now_s[0] += 60.0
+        return next(looks, [])
+
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+    receiver, args = Mock(receive_block=receive_block), Namespace(timeout_ms=30_000)
+    received: Any = module.received
+    assert list(received(receiver, args, "log")) == [["late"]]
+    hours = itertools.count(3600.0, 3600.0)
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: next(hours)))
+    looks = iter([["late"]])
+    assert list(received(receiver, args, "log", lambda: True)) == [["late"]]
 
 
 def signalled(number: int, code: str, path: Path, *first: str) -> str:
@@ -279,6 +302,14 @@ def test_stdin_and_bad_lines() -> None:
     assert "tipforce replay: line 10: 'rubbish': not a candump line" in done.stderr
     assert "9 frames sent" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_signal_ends_a_silent_stdin(monkeypatch: pytest.MonkeyPatch) -> None:
+    reads, writes = os.pipe()
+    with os.fdopen(reads) as stdin, os.fdopen(writes, "w"):
+        monkeypatch.setattr(sys, "stdin", stdin)
+        args = Namespace(log="-", loop=1, max_gap=None, speed=1.0, strict=False)
+        assert list(timed_frames(args, LogNotes(), lambda: True)) == []
 
 
 def test_a_signal_ends_an_endless_loop(log: Path) -> None:

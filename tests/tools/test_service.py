@@ -12,11 +12,13 @@ import struct
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
 from canopen_device.core import codes
 from canopen_device.core.node import Device
+from device.tiny import service_dictionary
 from host.bus_with_nodes import new_channel
 from tipforce.scene.delivered import beam_calibration, commit_calibration, download
 from tipforce_tools.cli import service
@@ -149,6 +151,19 @@ def test_the_watchdog_is_fed_at_half_its_time_if_there_is_one(
     with pytest.raises(BlockingIOError):
         manager.recv(100)
     notifier.close()
+
+
+def test_a_signal_as_soon_as_it_is_said_that_one_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def note(text: str) -> None:
+        said.append(text)
+        if len(said) == 1:
+            signal.raise_signal(signal.SIGTERM)
+
+    said, port, device = list[str](), Mock(receive=Mock(return_value=None)), Device(service_dictionary(5))
+    monkeypatch.setattr("tipforce_tools.cli.common.note", note)
+    service.serve("node 5", "a test", [device], [device], port)
+    assert said == ["node 5: a test; Ctrl-C ends it", "node 5: stopped"]
+    assert port.send.call_args.args == ([(0x705, b"\x04")],)
 
 
 def test_without_systemd_or_with_one_that_is_gone_nothing_happens(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ import math
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from itertools import count, islice
 from typing import TYPE_CHECKING
@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     with StopSignals() as stop, ExitStack() as opened:
         buses, start_s = Buses(args, opened), time.monotonic()
         try:
-            for due_s, name, frame in timed_frames(args, notes):
+            for due_s, name, frame in timed_frames(args, notes, stop):
                 while (rest_s := start_s + due_s - time.monotonic()) > 0 and not stop():
                     time.sleep(min(rest_s, _SLICE_S))
                 if stop():
@@ -93,9 +93,12 @@ def run(args: argparse.Namespace) -> int:
     return INTERRUPTED if stop() else 0
 
 
-def timed_frames(args: argparse.Namespace, notes: LogNotes) -> Iterator[tuple[float, str, Frame]]:
+def timed_frames(
+    args: argparse.Namespace, notes: LogNotes, stop: Callable[[], bool] | None = None
+) -> Iterator[tuple[float, str, Frame]]:
     """Yield all frames in order, --loop times: seconds after the start, interface, frame. The steps of time are those
-    of the log, none backwards and none longer than --max-gap, divided by --speed. Raises InputError."""
+    of the log, none backwards and none longer than --max-gap, divided by --speed; ``stop`` ends stdin. Raises
+    InputError."""
     from tipforce.host.logs.notes import UNREADABLE
     from tipforce.host.logs.reader import LogReader
 
@@ -103,7 +106,7 @@ def timed_frames(args: argparse.Namespace, notes: LogNotes) -> Iterator[tuple[fl
     longest_ns = math.inf if args.max_gap is None else args.max_gap * 1e9
     for _ in islice(count(), args.loop):
         last_ns = None  # the first frame of a pass is due with the last of the one before
-        log = LogReader(args.log, strict=args.strict)
+        log = LogReader(args.log, strict=args.strict, stop=stop)
         try:
             for block in log.blocks():
                 if not block.timed:

@@ -54,9 +54,9 @@ def run(args: argparse.Namespace) -> int:
     prefix, domain = namespace(args.namespace), domain_id(args.domain)
     with closing(_feed(args, Path(args.source) if is_hand else None)) as feed:
         bridge = Bridge(feed, RosDomain(domain), prefix, args.allow_tare)
-        common.note(f"publishing {prefix or '/'} in ROS 2 domain {domain}; Ctrl-C ends it")
         end_s = math.inf if args.seconds is None else time.monotonic() + args.seconds
         try:
+            common.note(f"publishing {prefix or '/'} in ROS 2 domain {domain}; Ctrl-C ends it")
             while not feed.ended and time.monotonic() < end_s:
                 for status in bridge.step():
                     if common.OUTPUT.verbose or status["level"] > OK:

@@ -67,9 +67,9 @@ class _Master(FrameBuffer):
     def settle(self, port: _NodesPort) -> None:
         """Wait until the nodes have answered and no frame arrives: on a busy machine both may be late."""
         for _ in range(_MOST_SETTLES):
-            before = self._received
+            before, answered = self._received, port.answered >= self.syncs  # an answer just sent is not received yet
             time.sleep(_SETTLE_S)
-            if self._received == before and port.answered >= self.syncs:
+            if answered and self._received == before:
                 return
 
     def say(self, can_id: int, data: bytes) -> None:

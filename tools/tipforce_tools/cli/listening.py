@@ -160,8 +160,9 @@ def received(
     last_s, seconds = time.monotonic(), getattr(args, "seconds", None)
     end_s = math.inf if seconds is None else last_s + seconds
     while not stop() and (now_s := time.monotonic()) < end_s:
+        left_s = last_s + limit_s - now_s  # before the look: it sees all that came by then
         try:
-            block = receiver.receive_block(min(_SLICE_S, limit_s, end_s - now_s))
+            block = receiver.receive_block(max(min(_SLICE_S, left_s, end_s - now_s), 0.0))
         except InterfaceDownError as error:
             if not args.stay:
                 raise
@@ -170,11 +171,13 @@ def received(
         if len(block):
             last_s = time.monotonic()
             yield block
-        elif time.monotonic() - last_s >= limit_s:
+        elif left_s <= 0.0:
             return
     end_s = time.monotonic() + _LAST_S
-    while time.monotonic() < end_s and len(block := receiver.receive_block(0)):
+    while len(block := receiver.receive_block(0)):
         yield block
+        if time.monotonic() >= end_s:
+            return
 
 
 def listening(

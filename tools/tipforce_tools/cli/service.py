@@ -114,7 +114,6 @@ def serve(who: str, what: str, devices: Sequence[Runnable], nodes: Sequence[Devi
     """Run ``devices`` until a signal; report start and end to the service manager, the bus and the terminal. ``nodes``
     are those that report STOPPED at the end."""
     notifier = Notifier()
-    common.note(f"{who}: {what}; Ctrl-C ends it")
 
     def ended() -> bool:
         notifier.alive()
@@ -122,6 +121,7 @@ def serve(who: str, what: str, devices: Sequence[Runnable], nodes: Sequence[Devi
 
     with StopSignals((signal.SIGINT,)) as stop:
         try:
+            common.note(f"{who}: {what}; Ctrl-C ends it")
             notifier.send("READY=1", f"STATUS={who}: {what}")
             loop.run(devices, port, ended)
         except KeyboardInterrupt:

@@ -191,7 +191,8 @@ class Hand:
         return self._delivery.take_events()
 
     def state(self, finger: str | int) -> str:
-        """Return the NMT state of a finger, by name or node-id, as text; "silent" for one whose heartbeat is lost."""
+        """Return the NMT state of a finger, by name or node-id, as text; "silent" for one whose heartbeat is lost.
+        Raises InputError for a finger that the hand does not have."""
         node_id = self._node_id(finger)
         return "unknown: reception has ended" if self.error is not None else self._supervisor.state_name(node_id)
 
