@@ -8,7 +8,7 @@ import pytest
 
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.interfaces import interfaces
-from vcan.support import Command, Launch, RawBus
+from vcan.support import Command, Launch, RawBus, running_node
 
 BUSES = ("vcan0", "vcan1")
 PEERS = ("candump", "canplayer")
@@ -52,6 +52,15 @@ def launch(tmp_path: Path) -> Iterator[Launch]:
     yield start
     for command in started:
         command.close()
+
+
+@pytest.fixture(scope="module")
+def node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Command]:
+    """Node 5 with layout I on vcan0, in a process of its own, for all the tests of a module."""
+    folder = tmp_path_factory.mktemp("node")
+    flags = ("--store", str(folder / "store.json"), "--offset", "12.0,-8.5,5.3", "--uncalibrated")
+    with running_node(folder, *flags) as command:
+        yield command
 
 
 @pytest.fixture(scope="module")

@@ -1,10 +1,11 @@
-"""`tipforce dump` beside the real candump, option by option."""
+"""`tipforce dump` beside the real candump, option by option, and behind it in a pipe."""
 
 import random
 import signal
 import socket
 import struct
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -15,7 +16,7 @@ import pytest
 from bench.measure import background
 
 from tipforce.host.frames.frame_block import LENGTHS
-from vcan.support import WAIT_S, Command, RawBus, ip_link, wait_until
+from vcan.support import NODE_ID, SYNC, WAIT_S, Command, RawBus, ip_link, wait_until
 
 EVERYTHING = "vcan0,0:0,#FFFFFFFF"
 TWO_BUSES = ["vcan0,123:7FF", "vcan1,123~7FF"]
@@ -184,3 +185,26 @@ def test_silence_ends_both(tmp_path: Path) -> None:
         )
         assert ours == theirs
         assert len(ours) == 5
+
+
+def test_decoded_lines_come_while_candump_still_runs(bus: RawBus, node: Command, tmp_path: Path) -> None:
+    output = tmp_path / "decoded"
+    bus.send(0x000, bytes((1, NODE_ID)))
+    with output.open("wb") as file:
+        candump = subprocess.Popen(["candump", "-L", "vcan0"], stdout=subprocess.PIPE)
+        command = [sys.executable, "-m", "tipforce_tools.cli.main", "dump", "--decode", "-"]
+        dump = subprocess.Popen(command, stdin=candump.stdout, stdout=file)
+        try:
+            wait_until(lambda: "Contact" in output.read_text(), "no decoded line", lambda: bus.send(SYNC))
+            assert candump.poll() is None
+            assert f"node {NODE_ID} (0x{NODE_ID:02X}) Contact" in output.read_text(), node.stderr
+        finally:
+            candump.terminate()
+            candump.wait(WAIT_S)
+            if candump.stdout is not None:
+                candump.stdout.close()
+            try:
+                code = dump.wait(WAIT_S)
+            finally:
+                dump.kill()
+        assert code == 0, "the end of its input is the end of its work"
