@@ -159,7 +159,9 @@ def _check_unseen_loads(bench: Bench) -> None:
     for P, phi, theta in ((2.0, 20.0, 75.0), (3.1, 100.0, 60.0), (1.2, 0.0, 20.0), (4.0, 150.0, 110.0)):
         apply_load(bench.connection, 5, P, phi, theta)
         time.sleep(0.002)
-        contact = bench.connection.finger(5).read()
+        applied_s, finger = time.time(), bench.connection.finger(5)
+        while (contact := finger.read()).t_s < applied_s:  # an answer to a SYNC of before, which came late
+            pass
         F = force_vector(P, *np.radians([phi, theta]))
         covariance = covariance_of_estimate(
             calibration.C, calibration.covariance_strain2, calibration.parameter_covariance, F[np.newaxis]
